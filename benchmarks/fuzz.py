@@ -44,7 +44,7 @@ from rasterio.transform import from_origin
 from benchmarks.steps import arguments
 from lirs_envs.sensing.sensors import read_noise
 from lirs_extensions.bench.tasks import set_entry, task_set
-from lirs_extensions.search.falsify.drives import read_search_limits
+from lirs_extensions.search.falsify.search import read_search_limits
 from lirs_validation.logs.read_log import read_constraints, read_trajectory
 from lirs_validation.record.verdict import read_limits
 from lirs_validation.sweep.tasks import read_yaml_fields

@@ -16,7 +16,7 @@ from typing import Any
 
 from benchmarks.steps import arguments, print_rows
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.loading import mapper_named
+from lirs_validation.experiment.mapper_under_test import mapper_named
 from lirs_validation.experiment.run import Run, drive_and_conclude, prepare
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_validation.report.paper import PUBLISHED_RTF, SOLID

@@ -16,7 +16,7 @@ from benchmarks.forecast import came_true
 from benchmarks.log_quality import correlation, table, worsened
 from benchmarks.mrpt import write_rawlog
 from lirs_extensions.bench.tasks import task_set
-from lirs_extensions.search.falsify.drives import SearchLimits, measure
+from lirs_extensions.search.falsify.search import SearchLimits, measure
 from lirs_extensions.search.options import FAILURE_FACTOR, FalsifyOptions
 from lirs_validation.sweep.tasks import CASE, suite_folders
 from lirs_wct.formats.carmen_log import read_carmen

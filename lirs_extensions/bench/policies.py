@@ -7,7 +7,6 @@ Latombe ("Navigation strategies for exploring indoor environments", 2002), who e
 
 from __future__ import annotations
 
-import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -24,12 +23,19 @@ from lirs_envs.pretrained import Pretrained
 from lirs_envs.tasks.site import SEEN_CELL
 from lirs_extensions.bench import UPPER_BOUND
 from lirs_extensions.bench.tasks import TASKS, BenchTask
-from lirs_validation.driving.choice import CLEARANCE
+from lirs_validation.driving.choice import CLEARANCE, driver_config
 from lirs_validation.driving.frontier_route import ExplorationMap, FrontierRoute
-from lirs_validation.driving.path_driver import DriverConfig, Frame, PathDriver, driver_config
-from lirs_validation.driving.paths import Path as DrivenPath, Reach, penalize_behind, search
+from lirs_validation.driving.path_driver import (
+    DriverConfig,
+    Frame,
+    Path as DrivenPath,
+    PathDriver,
+    Reach,
+    penalize_behind,
+    search,
+)
 from lirs_validation.driving.routes import FreeGround, WaypointRoute
-from lirs_validation.experiment.loading import make_own, own_class, own_source_file
+from lirs_validation.experiment.loading import check_members, make_own, own_class, own_source_file
 from lirs_wct import (
     BoolArray,
     ConfigError,
@@ -54,9 +60,6 @@ DECAY = 0.15
 """Decay of a place's value with path length (lambda of the paper), 1/m."""
 ARC = 1.0
 """Radius of the robot's turns in open space, meters."""
-METHODS = ("reset", "act")
-
-
 GOAL_ARC = 0.6
 """Radius in which the robot turns round where there is room, meters."""
 
@@ -219,6 +222,7 @@ class UnseenRoute:
     ) -> None:
         self._unseen, self._config = unseen, config
         self._ground = FreeGround(free, start, surface)
+        self.avoid = self._ground.avoid
         self._tried = np.zeros_like(self._ground.free)
         self._goal: tuple[int, int] | None = None
 
@@ -227,7 +231,9 @@ class UnseenRoute:
         ground, grid = self._ground, self._ground.grid
         resolution = grid.resolution
         first = ground.nearest(pose.x, pose.y)
-        unseen = self._unseen_cells()
+        unseen = np.zeros(ground.free.shape, np.bool_)
+        row, col = np.clip(grid.cells(self._unseen()), 0, np.array(unseen.shape) - 1).T
+        unseen[row, col] = True
         weight = penalize_behind(ground.weight, first, pose.yaw - grid.origin.yaw, ARC / resolution)
         reach = search(weight, first[None], resolution)
         # A cell that is not seen from close by cannot be seen at all.
@@ -237,22 +243,10 @@ class UnseenRoute:
             return None
         if self._goal is None or not possible[self._goal]:
             worth = np.where(possible, _around(unseen, resolution) * np.exp(-DECAY * reach.cost), 0.0)
-            row, col = divmod(int(np.argmax(worth)), worth.shape[1])
-            self._goal = row, col
+            self._goal = divmod(int(np.argmax(worth)), worth.shape[1])
         pursuit = self._config.pursuit
         points = ground.smooth(grid.centers(reach.path(self._goal)), pursuit.careful_room)
         return ground.path(points, pursuit)
-
-    def avoid(self, point: tuple[float, float], radius: float) -> None:
-        """Penalize the ground around a place."""
-        self._ground.avoid(point, radius)
-
-    def _unseen_cells(self) -> BoolArray:
-        """Return (rows, cols) mask of grid cells that hold the center of an unseen cell."""
-        unseen = np.zeros(self._ground.free.shape, np.bool_)
-        cells = np.clip(self._ground.grid.cells(self._unseen()), 0, np.array(unseen.shape) - 1)
-        unseen[cells[:, 0], cells[:, 1]] = True
-        return unseen
 
 
 def _around(unseen: BoolArray, resolution: float) -> FloatArray:
@@ -267,9 +261,9 @@ class Baseline(NamedTuple):
     """A policy of this package.
 
     Attributes:
-        make: function of environment and context that returns the policy.
-        tasks: tasks that the policy can run.
-        observe: groups of observations that the policy gets; None = the task's own.
+        make: Function of environment and context that returns the policy.
+        tasks: Tasks that the policy can run.
+        observe: Groups of observations that the policy gets; None = the task's own.
     """
 
     make: Callable[[RobotEnv, PolicyContext], Policy]
@@ -371,32 +365,11 @@ class PolicyChoice:
             "action_space": env.action_space,
             "seed": task.seed,
         }
-        maker, arguments = self._maker(), dict(self.arguments)
-        _check_taken(maker, arguments, self.name)
-        policy = make_own(maker, offered | arguments, self.name, "policy")
-        lacking = [f"{name}()" for name in METHODS if not callable(getattr(policy, name, None))]
-        if lacking:
-            raise ConfigError(
-                f"policy {self.name!r}: lacks {', '.join(lacking)}; "
-                "a policy has reset(info) and act(observation)"
-            )
-        made: Policy = policy
-        return made
+        policy: Policy = make_own(self.name, "policy", "act", offered, dict(self.arguments))
+        check_members(policy, self.name, "policy", ("reset", "act"))
+        return policy
 
     def _maker(self) -> Callable[..., Any]:
         if ":" not in self.name:
             raise unknown_name("policy", self.name, [*BASELINES, "module:name of your own"])
         return own_class(self.name, "policy", "act")
-
-
-def _check_taken(maker: Callable[..., Any], arguments: Mapping[str, str], name: str) -> None:
-    try:
-        parameters = inspect.signature(maker).parameters
-    except ValueError:
-        return
-    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values()):
-        return
-    for argument in arguments:
-        if argument not in parameters:
-            legal = ", ".join(parameters) or "none"
-            raise ConfigError(f"policy {name!r}: takes no argument {argument!r}; it takes {legal}")

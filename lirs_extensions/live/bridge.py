@@ -27,8 +27,8 @@ from lirs_extensions.live.graph import (
 )
 from lirs_extensions.live.options import LiveOptions
 from lirs_validation.config import RunConfig
-from lirs_validation.driving.path_driver import Driver, Frame
-from lirs_validation.experiment.drive import planar
+from lirs_validation.driving.path_driver import Frame
+from lirs_validation.experiment.drive import Driver, planar
 from lirs_validation.experiment.mapper_under_test import Estimate, LocalMapper, SensorReadings
 from lirs_validation.experiment.recording import bag_tick
 from lirs_validation.processes import Cost
@@ -253,11 +253,7 @@ class ClientDriver:
 
     def __init__(self, start: Pose2, client: Client, driver: Driver | None) -> None:
         self.start, self._client, self._driver = start, client, driver
-
-    @property
-    def frame(self) -> Frame:
-        """Frame of the poses that the driver gets."""
-        return "world" if self._driver is None else self._driver.frame
+        self.frame: Frame = "world" if driver is None else driver.frame
 
     @property
     def stuck(self) -> bool:

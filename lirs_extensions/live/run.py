@@ -20,12 +20,11 @@ from lirs_extensions.live.bridge import Bridge, Client, ClientDriver, ClientMapp
 from lirs_extensions.live.graph import CYCLONE_LOOPBACK, PUBLISHED, LiveTopic, Middleware
 from lirs_extensions.live.options import LiveOptions
 from lirs_validation.config import CLIENT, FRONTIER, RunConfig, run_name
-from lirs_validation.driving.choice import StandingDriver, check_driver, make_driver, start_pose
-from lirs_validation.experiment.loading import mapper_named
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest, needs_process
+from lirs_validation.driving.choice import check_driver, make_driver, start_pose
+from lirs_validation.experiment.drive import Scenario, build_scenario
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest, mapper_named, needs_process
 from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude, warm_up
-from lirs_validation.experiment.scenario import Scenario, build_scenario
 from lirs_validation.processes import compile_timer
 from lirs_wct import ConfigError, Pose2, unknown_name
 from lirs_wct.files import check_writable
@@ -134,13 +133,14 @@ class _Session:
         else:
             ours = mapper_named(config.mapper, config.seed, config.parameters)
             mapper = PublishedMapper(bridge, ours, config)
-        own = None
+        own, stand = None, 0.0
         if config.driver != CLIENT:
             own = make_driver(scenario.world, simulation.robot, config, mapper.map)
-            own = StandingDriver(own, config.stand) if config.stand else own
+            stand = config.stand or 0.0
         start = self.first @ T_map_start if own is None else own.start
         driver = ClientDriver(start, bridge.client, own)
-        return ReadyRun(scenario, simulation, driver, mapper, seconds, self.compile_seconds), bridge
+        ready = ReadyRun(scenario, simulation, driver, mapper, seconds, self.compile_seconds, stand)
+        return ready, bridge
 
     def _requested(self, T_map_start: Pose2 | None) -> Pose2:
         """Return the requested start, map frame; the first one if the robot cannot stand there."""

@@ -74,7 +74,7 @@ def command_line() -> str:
 
 def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> None:
     """Run a sweep: skip finished runs, then call `show`, also when interrupted."""
-    from lirs_validation.sweep.engines import make_executor
+    from lirs_validation.sweep.tasks import make_executor
 
     executor = make_executor(engine)
     if sweep.kept:

@@ -1,10 +1,9 @@
-"""The driver that a config names, set down in its world; drivers around another one, replay, policy."""
+"""The driver that a config names, set down in its world; replay, policy."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,7 @@ from lirs_envs.robots.robot import ROBOTS, Robot, Twist, clip, make_robot
 from lirs_envs.simulation_config import can_stand
 from lirs_validation.config import CLIENT, MANUAL, PRETRAINED, TOUR, RunConfig, driver_parts
 from lirs_validation.driving.frontier_route import FrontierRoute
-from lirs_validation.driving.path_driver import Driver, DriverConfig, Frame, PathDriver, driver_config
-from lirs_validation.driving.paths import area_round
+from lirs_validation.driving.path_driver import DriverConfig, Frame, PathDriver, PursuitConfig, area_round
 from lirs_validation.driving.routes import TourRoute, WaypointRoute, check_waypoints
 from lirs_validation.record.run_record import read_record
 from lirs_wct import ConfigError, LaserScan, OccupancyGrid, Pose2, SourceError, World
@@ -36,7 +34,7 @@ COMMANDS = "commands.csv"
 
 def make_driver(
     world: World, robot: Robot, config: RunConfig, mapper_map: Callable[[], OccupancyGrid]
-) -> Driver:
+) -> PathDriver | ReplayDriver | PolicyDriver:
     """Return the config's driver.
 
     Tour and waypoints are planned over the true ground; the mapper sees none of it. The explorer is given the
@@ -53,14 +51,12 @@ def make_driver(
     if kind == PRETRAINED:
         return _policy_driver(world, robot, config, argument)
     if kind == TOUR:
-        driver = plan_tour(world, robot, config)
-    elif kind in ("waypoints", "goal"):
-        driver = _waypoint_driver(world, robot, config)
-    else:
-        pace, start = _pace(robot, config), start_pose(world, robot, config)
-        route = FrontierRoute(mapper_map, robot.radius, robot.radius + CLEARANCE, pace)
-        driver = PathDriver(route, start, pace)
-    return ReversingDriver(driver, config.reversing) if config.reversing else driver
+        return plan_tour(world, robot, config)
+    if kind in ("waypoints", "goal"):
+        return _waypoint_driver(world, robot, config)
+    pace, start = _pace(robot, config), start_pose(world, robot, config)
+    route = FrontierRoute(mapper_map, robot.radius, robot.radius + CLEARANCE, pace)
+    return PathDriver(route, start, pace)
 
 
 def plan_tour(world: World, robot: Robot, config: RunConfig) -> PathDriver:
@@ -131,12 +127,6 @@ def driver_files(config: RunConfig) -> list[Path]:
 def start_pose(world: World, robot: Robot, config: RunConfig, free: OccupancyGrid | None = None) -> Pose2:
     """Return the requested start, or else the seed's spawn pose, world frame.
 
-    Args:
-        world: World of the run.
-        robot: Robot of the run.
-        config: Config with the seed.
-        free: Drivable ground, if it is known.
-
     Raises:
         ConfigError: the robot fits nowhere in this world, or cannot drive from the requested start.
     """
@@ -163,16 +153,33 @@ def drivable_ground(world: World, robot: Robot) -> OccupancyGrid:
     return world.traversable(clearance=robot.radius + CLEARANCE, max_slope=robot.max_slope)
 
 
-def _pace(robot: Robot, config: RunConfig) -> DriverConfig:
-    """Return the driver's speeds for a robot, with the factors of the config."""
-    default = driver_config(robot)
-    pursuit = replace(
-        default.pursuit,
-        speed=config.speed * default.pursuit.speed,
-        turn_rate=config.turn_rate * default.pursuit.turn_rate,
+SPEED_SHARE, TURN_SHARE, ACCELERATION_SHARE = 0.8, 0.6, 0.2
+"""Shares of the robot's limits; the rest is left to its own control."""
+
+
+def driver_config(
+    robot: Robot, *, speed: float = 1.0, turn_rate: float = 1.0, reversing: float = 0.0
+) -> DriverConfig:
+    """Return a robot's speeds, times factors; less where it is slower, with patience to match."""
+    default, driver = PursuitConfig(), DriverConfig()
+    full_speed = min(default.speed, SPEED_SHARE * robot.max_speed)
+    pursuit = PursuitConfig(
+        speed=speed * full_speed,
+        turn_rate=turn_rate * min(default.turn_rate, TURN_SHARE * robot.max_turn_rate),
+        acceleration=min(default.acceleration, ACCELERATION_SHARE * robot.max_acceleration),
     )
-    slowest = min(config.speed, config.turn_rate, 1.0)
-    return replace(default, pursuit=pursuit, patience=default.patience / slowest)
+    slower = default.speed / full_speed
+    return DriverConfig(
+        pursuit=pursuit,
+        patience=driver.patience * slower / min(speed, turn_rate, 1.0),
+        back_off=driver.back_off * slower,
+        back_speed=driver.back_speed / slower,
+        reversing=reversing,
+    )
+
+
+def _pace(robot: Robot, config: RunConfig) -> DriverConfig:
+    return driver_config(robot, speed=config.speed, turn_rate=config.turn_rate, reversing=config.reversing)
 
 
 def _check_reachable(
@@ -221,68 +228,6 @@ def no_room(source: str, world: World, robot: Robot, clearance: float) -> Config
         f"{source}: no place for {robot.name}: it needs {2 * (robot.radius + clearance):.1f} m of free "
         f"ground no steeper than {math.degrees(robot.max_slope):.0f} deg; {hint}"
     )
-
-
-class WrappedDriver:
-    """Base of drivers around another one, with its start, frame and end."""
-
-    def __init__(self, driver: Driver) -> None:
-        self._driver = driver
-
-    @property
-    def start(self) -> Pose2:
-        """Start pose of the robot."""
-        return self._driver.start
-
-    @property
-    def frame(self) -> Frame:
-        """Frame of the poses that the driver gets."""
-        return self._driver.frame
-
-    @property
-    def stuck(self) -> bool:
-        """Whether the driver gave up."""
-        return self._driver.stuck
-
-    @property
-    def finished(self) -> str:
-        """Reason for the end of the drive; empty before the end."""
-        return self._driver.finished
-
-
-class StandingDriver(WrappedDriver):
-    """Driver that hands over to another one after some simulated seconds at rest."""
-
-    def __init__(self, driver: Driver, seconds: float) -> None:
-        super().__init__(driver)
-        self._seconds = seconds
-
-    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
-        """Return no motion at first, then the driver's command (see `Driver.command`)."""
-        # Half a microsecond: sums of periods are not exact.
-        if time < self._seconds - 5e-7:
-            return Twist()
-        return self._driver.command(pose, time - self._seconds, scan, odometry)
-
-
-CYCLE = 20.0
-"""Seconds of one turn of forward and backward driving."""
-BACK = Pose2(0.0, 0.0, math.pi)
-
-
-class ReversingDriver(WrappedDriver):
-    """Driver that follows the path of another one backwards for a share of the time."""
-
-    def __init__(self, driver: Driver, share: float) -> None:
-        super().__init__(driver)
-        self._share = share
-
-    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
-        """Return the driver's command, or the reversed one for a robot that faces backwards."""
-        if time % CYCLE < (1.0 - self._share) * CYCLE:
-            return self._driver.command(pose, time, scan, odometry)
-        wanted = self._driver.command(pose @ BACK, time, scan, odometry)
-        return Twist(-wanted.v, wanted.omega)
 
 
 class ReplayDriver:

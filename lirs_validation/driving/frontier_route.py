@@ -14,18 +14,18 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_validation.driving.path_driver import DriverConfig, Frame
-from lirs_validation.driving.paths import (
+from lirs_validation.driving.path_driver import (
     ARC,
     STRAIGHT,
     TURN,
+    DriverConfig,
+    Frame,
     Path,
     Reach,
     cells_ahead,
     nearest,
     path_weight,
     penalize_behind,
-    room_at,
     room_in,
     search,
     smooth_path,
@@ -258,9 +258,7 @@ class FrontierRoute:
         self._goal = chart.grid.centers(cells[-1])
         keep = self._config.pursuit.careful_room
         points = smooth_path(chart.grid.centers(cells), chart.grid, chart.room, keep=keep)
-        return Path(
-            points, speed_profile(points, room_at(chart.grid, chart.room, points), self._config.pursuit)
-        )
+        return Path(points, speed_profile(points, chart.grid, chart.room, self._config.pursuit))
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
         """Block a place where the robot did not get on, map frame."""

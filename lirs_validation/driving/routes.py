@@ -13,12 +13,13 @@ from pathlib import Path as File
 import cv2
 import numpy as np
 
-from lirs_validation.driving.path_driver import DriverConfig, Frame
-from lirs_validation.driving.paths import (
+from lirs_validation.driving.path_driver import (
     ARC,
     COMFORTABLE,
     STRAIGHT,
     TURN,
+    DriverConfig,
+    Frame,
     Path,
     PursuitConfig,
     Reach,
@@ -28,7 +29,6 @@ from lirs_validation.driving.paths import (
     nearest,
     path_weight,
     penalize_behind,
-    room_at,
     room_in,
     search,
     smooth_path,
@@ -81,8 +81,7 @@ class FreeGround:
         height = None
         if self._surface is not None:
             height = np.nan_to_num(self._surface.height_at(points[:, 0], points[:, 1]))
-        room = room_at(self.grid, self.room, points)
-        return Path(points, speed_profile(points, room, config, height), yaw)
+        return Path(points, speed_profile(points, self.grid, self.room, config, height), yaw)
 
 
 RADIUS = 4.0
@@ -123,7 +122,7 @@ class TourRoute:
         self._grid, self._rng = free, rng
         self._seconds, self._config = seconds, config
         self.ground = FreeGround(free, start, surface)
-        self._free = self.ground.free
+        self._free, self.avoid = self.ground.free, self.ground.avoid
         # In a small place as large a radius would cover all from anywhere, and the robot would only turn.
         side = math.sqrt(float(self._free.sum())) * free.resolution
         self.radius = min(RADIUS, max(0.8, 0.2 * side))
@@ -136,16 +135,16 @@ class TourRoute:
     def path(self, pose: Pose2, time: float, undriven: float | None) -> Path:
         """Plan a tour long enough for the rest of the time at full speed."""
         if undriven is not None:
-            self._forget(undriven)
+            # Its last meters, planned but not driven, are no part of the tour.
+            arc = arc_length(self._driven)
+            self._length = max(0.0, self._length - undriven)
+            self._driven = self._driven[arc <= max(arc[-1] - undriven, 0.0)]
+            self._covered_at[self._covered_at > self._length] = -np.inf
         # Smoothing shortens the tour, and planning again in the middle of a run would cost a tick.
         length = 10.0 + 1.3 * max(0.0, self._seconds - time) * self._config.pursuit.speed
         # From rest straight ahead: turning wheels slip most while a mapper knows least.
         points = self.tour(pose, length, straight=STRAIGHT if time == 0.0 else 0.0)
         return self.ground.path(points, self._config.pursuit)
-
-    def avoid(self, point: tuple[float, float], radius: float) -> None:
-        """Penalize the ground round a place: only the last resort leads there."""
-        self.ground.avoid(point, radius)
 
     @property
     def coverage(self) -> float:
@@ -153,15 +152,11 @@ class TourRoute:
         return float((self._covered_at[self._free] > -np.inf).mean())
 
     def tour(self, start: Pose2, length: float, *, straight: float = 0.0) -> FloatArray:
-        """Return a free path of about `length` meters from a pose.
-
-        (n, 2) points, 0.1 m apart.
-
-        The first point is the middle of the free cell nearest to the pose.
+        """Return points (n, 2), 0.1 m apart, of a free path from the free cell nearest to a pose.
 
         Args:
             start: Pose of the robot.
-            length: Meters before smoothing.
+            length: Meters before smoothing, about.
             straight: Meters straight ahead at the beginning, or as many as are free.
         """
         ahead = cells_ahead(self._grid, self._free, start, straight)
@@ -185,13 +180,6 @@ class TourRoute:
         points = np.concatenate(legs)
         return self.ground.smooth(points, COMFORTABLE / 2, hold=len(ahead) - 1)
 
-    def _forget(self, undriven: float) -> None:
-        """Remove the last meters, planned but not driven, from the tour."""
-        arc = arc_length(self._driven)
-        self._length = max(0.0, self._length - undriven)
-        self._driven = self._driven[arc <= max(arc[-1] - undriven, 0.0)]
-        self._covered_at[self._covered_at > self._length] = -np.inf
-
     def _leg(self, cell: IntArray, heading: float) -> IntArray:
         """Return cells (n, 2) from here to the next goal."""
         goals = self._goals(cell)
@@ -213,7 +201,12 @@ class TourRoute:
         other[cell[0], cell[1]] = False
         if self._length >= self._next_loop:
             self._next_loop = self._length + LOOP * self._rng.uniform(0.7, 1.3)
-            old: BoolArray = self._old_places() & other
+            # A few random places of the tour's first half.
+            early = self._driven[: max(1, len(self._driven) // 2)]
+            cells = self._grid.cells(early[self._rng.integers(len(early), size=8)])
+            row, col = np.clip(cells, 0, np.array(self._free.shape) - 1).T
+            old = np.zeros(self._free.shape, np.bool_)
+            old[row, col] = other[row, col]
             if old.any():
                 return old
         # Where there is room to turn round first: a dead end is mostly covered from its mouth.
@@ -222,23 +215,11 @@ class TourRoute:
             never: BoolArray = candidates & (self._covered_at == -np.inf)
             if never.any():
                 return never
-        return self._long_ago(roomy if roomy.any() else other)
-
-    def _long_ago(self, candidates: BoolArray) -> BoolArray:
-        """Mark the fifth of the candidates that was covered longest ago."""
+        candidates = roomy if roomy.any() else other
         if not candidates.any():
             return candidates
         oldest: BoolArray = candidates & (self._covered_at <= np.quantile(self._covered_at[candidates], 0.2))
         return oldest
-
-    def _old_places(self) -> BoolArray:
-        """Mark the cells of a few random points of the tour's first half."""
-        early = self._driven[: max(1, len(self._driven) // 2)]
-        cells = self._grid.cells(early[self._rng.integers(len(early), size=8)])
-        cells = np.clip(cells, 0, np.array(self._free.shape) - 1)
-        mask = np.zeros(self._free.shape, np.bool_)
-        mask[cells[:, 0], cells[:, 1]] = True
-        return mask & self._free
 
     def _choice(self, reach: Reach, goals: BoolArray, cell: IntArray, heading: float) -> tuple[int, int]:
         """Choose among reached goals: near, ahead, and a little by chance."""
@@ -247,21 +228,16 @@ class TourRoute:
             reached = reached[self._rng.choice(len(reached), 300, replace=False)]
         offset = self._grid.centers(reached) - self._grid.centers(cell)
         turn = np.abs(wrap_angles(np.arctan2(offset[:, 1], offset[:, 0]) - heading))
-        cost = reach.cost[reached[:, 0], reached[:, 1]] + TURN * turn / math.pi
-        # A goal at the rim of the covered area has little gain: prefer one step into uncovered ground.
-        best = int(np.argmin(cost - self._gain(reached) + self._rng.uniform(0, 0.5, len(reached))))
-        return int(reached[best, 0]), int(reached[best, 1])
-
-    def _gain(self, cells: IntArray) -> FloatArray:
-        """Return (n,) gains of going to cells, meters.
-
-        Each is 0 to 2 radii, by the share of uncovered ground around.
-        """
-        reach = max(1, round(self.radius / self._grid.resolution))
+        row, col = reached.T
+        cost = reach.cost[row, col] + TURN * turn / math.pi
+        # A goal at the rim of the covered area has little gain: prefer one step into uncovered ground. A gain
+        # is 0 to 2 radii, by the share of uncovered ground around.
+        side = 2 * max(1, round(self.radius / self._grid.resolution)) + 1
         new = (self._free & (self._covered_at == -np.inf)).astype(np.float32)
-        share = cv2.boxFilter(new, -1, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_CONSTANT)
-        worth: FloatArray = 2 * self.radius * share[cells[:, 0], cells[:, 1]].astype(np.float64)
-        return worth
+        share = cv2.boxFilter(new, -1, (side, side), borderType=cv2.BORDER_CONSTANT)
+        gain = 2 * self.radius * share[row, col].astype(np.float64)
+        best = int(np.argmin(cost - gain + self._rng.uniform(0, 0.5, len(reached))))
+        return int(row[best]), int(col[best])
 
     def _cover(self, path: IntArray) -> None:
         """Mark the cells covered from a path.
@@ -298,6 +274,7 @@ class WaypointRoute:
         self._left = list(waypoints)
         self._config = config
         self._ground = FreeGround(free, Pose2(waypoints[0].x, waypoints[0].y), surface)
+        self.avoid = self._ground.avoid
         self._ends_at: list[float] = []
         """Meters of the present path after which each of its waypoints is reached."""
         self._length = 0.0
@@ -320,10 +297,6 @@ class WaypointRoute:
         points = np.concatenate(legs)[1:]
         self._length = self._ends_at[-1]
         return self._ground.path(points, self._config.pursuit, waypoint.yaw)
-
-    def avoid(self, point: tuple[float, float], radius: float) -> None:
-        """Penalize the ground round a place: only the last resort leads there."""
-        self._ground.avoid(point, radius)
 
     def _leg(self, start: FloatArray, waypoint: RoutePoint) -> FloatArray:
         """Return (n, 2) points from the free cell nearest to a point to a waypoint."""

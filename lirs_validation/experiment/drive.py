@@ -1,28 +1,165 @@
-"""Online loop of driver, simulation and mapper, one lidar period per tick, and its log."""
+"""World, online loop of driver, simulation and mapper, one lidar period per tick, and its log."""
 
 from __future__ import annotations
 
 import math
 import time
 from array import array
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from lirs_envs.robots.robot import Twist
-from lirs_envs.sensing.sensors import Observation
+from lirs_envs.lidar.ray_casting import resolve_rays
+from lirs_envs.robots.robot import Robot, Twist
+from lirs_envs.sensing.motion import InertialNoise
+from lirs_envs.sensing.sensors import Observation, SensorNoise, resolve_noise
 from lirs_envs.simulation import Simulation
-from lirs_validation.driving.path_driver import Driver
-from lirs_validation.experiment.mapper_under_test import Estimate, LostRule, MapperUnderTest
+from lirs_envs.simulation_config import SimulationConfig
+from lirs_validation.config import RunConfig
+from lirs_validation.driving.path_driver import Frame
+from lirs_validation.experiment.mapper_under_test import LostRule, MapperUnderTest
 from lirs_validation.metrics.elevation import CloudSample
-from lirs_validation.record.run_record import Status
-from lirs_wct import BoolArray, FloatArray, Imu, LaserScan, Pose2, Pose3, SimulationError, Trajectory
+from lirs_validation.record.run_record import Status, source_files
+from lirs_wct import (
+    BoolArray,
+    BuildOptions,
+    FloatArray,
+    Imu,
+    LaserScan,
+    Pose2,
+    Pose3,
+    SimulationError,
+    Trajectory,
+    World,
+    build_world,
+)
+from lirs_wct.errors import LogSourceError
+from lirs_wct.ground import Window
 from slam_baselines.dead_reckoning import spatial_odometry
 
-T = TypeVar("T")
+MAX_WORLDS = 2
+"""Worlds that a cache holds at a time; memory stays flat over a long sweep."""
+LARGE_SIDE, DRIVEN_SIDE = 200.0, 50.0
+"""Side from which a terrain is driven on a square only, and the side of that square, meters."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A config and its world.
+
+    Attributes:
+        window: Square that was cut out of a larger world, if any.
+        files: Path and digest of each file of the world's source; none of a bundled world.
+        whole_size: Size of the world that the window was cut out of, eastward and northward, meters.
+    """
+
+    config: RunConfig
+    world: World
+    window: Window | None
+    files: tuple[dict[str, str], ...] = ()
+    whole_size: tuple[float, float] | None = None
+
+    def simulation(self, robot: Robot, *, inertial: bool = False) -> Simulation:
+        """Put the robot into the world, with inertial readings near 200 Hz on request."""
+        c = self.config
+        rolling = None if c.scan_time is None else c.scan_time == "rolling"
+        config = SimulationConfig(
+            robot=robot,
+            lidar=c.lidar,
+            contact_geometry=c.terrain,
+            rays=resolve_rays(c.rays),
+            actors=c.actors,
+            noise=replace(sensor_noise(c), rolling_scan=rolling),
+            inertial=InertialNoise() if inertial else None,
+        )
+        return Simulation(self.world, config, seed=c.seed)
+
+
+def sensor_noise(config: RunConfig) -> SensorNoise:
+    """Return the noise of a run's sensors."""
+    return resolve_noise(config.noise).with_odometry_noise(config.odometry_noise)
+
+
+def build_scenario(config: RunConfig) -> Scenario:
+    """Build the config's world.
+
+    Of a terrain larger than 200 m, a window of 50 m is used, in the middle or around the start.
+    """
+    try:
+        files, world = source_files(config), build_world(config.source, config.build)
+    except LogSourceError as error:
+        raise LogSourceError(
+            f"{error}: lirs-wct build does both, and so does lirs_validation.resolve_source"
+        ) from None
+    is_large = world.kind != "map" and not world.overhangs and max(world.surface.size) > LARGE_SIDE
+    if not is_large or config.build.window is not None:
+        return Scenario(config, world, config.build.window, files)
+    west, south, east, north = world.surface.bounds
+    middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
+    window = (middle.x, middle.y, DRIVEN_SIDE)
+    cut = build_world(config.source, replace(config.build, window=window))
+    return Scenario(config, cut, window, files, world.surface.size)
+
+
+class ScenarioCache:
+    """Gives configs their scenarios, and keeps the last worlds for the next configs in them."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[str, BuildOptions], Scenario] = OrderedDict()
+
+    def scenario(self, config: RunConfig) -> Scenario:
+        """Return the config's scenario (see `build_scenario`)."""
+        key = (config.source, config.build)
+        if key not in self._kept:
+            self.put(build_scenario(config))
+        self._kept.move_to_end(key)
+        return replace(self._kept[key], config=config)
+
+    def put(self, scenario: Scenario) -> None:
+        """Keep a scenario that was built elsewhere."""
+        self._kept[(scenario.config.source, scenario.config.build)] = scenario
+        while len(self._kept) > MAX_WORLDS:
+            self._kept.popitem(last=False)
+
+    def clear(self) -> None:
+        """Forget the worlds: files that they were made of have changed."""
+        self._kept.clear()
+
+
+class Driver(Protocol):
+    """Anything that drives a robot, one command a scan."""
+
+    @property
+    def start(self) -> Pose2:
+        """Start pose of the robot, world frame."""
+
+    @property
+    def frame(self) -> Frame:
+        """Frame of the poses that `command` receives."""
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the driver gave up."""
+
+    @property
+    def finished(self) -> str:
+        """Reason why nothing is left to drive; empty while there is."""
+
+    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
+        """Return the command for the next tick.
+
+        Args:
+            pose: Pose of the robot, in the driver's frame.
+            time: Seconds since the robot began to drive.
+            scan: Latest scan.
+            odometry: `T_odom_base` at the scan.
+        """
+
+
 Recorder = Callable[[Observation, Pose3, Pose2], None]
 """Receives the observation with its cloud, the true pose `T_world_base` and the mapper's answer
 `T_map_base`, in the plane."""
@@ -35,6 +172,7 @@ def drive(
     log: DriveLog,
     seconds: float,
     *,
+    stand: float = 0.0,
     wall_limit: float | None = None,
     recorder: Recorder | None = None,
 ) -> Iterator[float]:
@@ -47,7 +185,8 @@ def drive(
         driver: Source of the commands.
         mapper: Mapper, closed by its maker.
         log: Empty log of the drive.
-        seconds: Simulated time of the drive.
+        seconds: Simulated time of the drive, standing included.
+        stand: Simulated seconds of standing before the driver is asked.
         wall_limit: Wall seconds after which the drive is stopped; None = never.
         recorder: Function that receives each mapped scan; its time counts.
 
@@ -55,38 +194,61 @@ def drive(
         MapperError: the mapper failed.
     """
     period, tracking, spent = simulation.period, LostRule(), 0.0
-    ticks = max(1, math.ceil(seconds / period - 1e-9))
+    ticks, limit = max(1, math.ceil(seconds / period - 1e-9)), wall_limit or math.inf
     # The first scan comes before anything moves: no simulated time passes.
     observation = simulation.reset(driver.start)
-    _map(observation, simulation, mapper, log, recorder)
+    T_world_base, estimate = simulation.pose(), mapper.observe(observation)
+    _add(log, observation, simulation, T_world_base, estimate.pose, recorder)
     yield 0.0
     for tick in range(1, ticks + 1):
-        begun = time.perf_counter()
-        pose = planar(log.truth[-1] if driver.frame == "world" else log.estimates[-1])
-        command = driver.command(pose, (tick - 1) * period, observation.scan, observation.odometry)
-        log.commands.append(command)
+        begun, time_driven, command = time.perf_counter(), (tick - 1) * period - stand, Twist()
+        if time_driven > -5e-7:  # half a microsecond: sums of periods are not exact
+            pose = T_world_base.to_pose2() if driver.frame == "world" else planar(estimate.pose)
+            command = driver.command(pose, time_driven, observation.scan, observation.odometry)
         try:
             observation = simulation.advance(command)
         except SimulationError as error:
+            log.commands.append(command)
             log.end("diverged", str(error))
             return
+        T_world_base, mishap = simulation.pose(), simulation.mishap
         # Before the mapper: a client that ends the drive while it maps ends it with the next scan.
         finished = driver.finished
-        estimate = _map(observation, simulation, mapper, log, recorder)
+        estimate = mapper.observe(observation)
         tracking.observe(observation.scan.stamp, estimate.lost)
+        log.commands.append(command)
+        _add(log, observation, simulation, T_world_base, estimate.pose, recorder)
         log.mapper_seconds.append(estimate.seconds)
         log.tick_seconds.append(time.perf_counter() - begun)
         spent += log.tick_seconds[-1]
-        failure = _failure(simulation, driver, tick * period)
-        if failure is not None:
-            log.end(*failure)
+        now = tick * period
+        if mishap:
+            what = "tipped over" if mishap == "tipped" else "left the world"
+            log.end(mishap, f"the robot {what} at {now:.1f} s")
+        elif driver.stuck:
+            log.end("stuck", f"the robot made no progress and gave up at {now:.1f} s")
         elif estimate.lost and tracking.too_long is not None:
             log.end("lost", tracking.too_long)
-        elif tick == ticks or finished or (wall_limit is not None and spent >= wall_limit):
-            log.end(*_result(tracking, finished, tick * period, seconds, spent, wall_limit))
-        yield tick * period
+        elif tick == ticks or finished or spent >= limit:
+            log.end(*_result(tracking, finished, now, seconds, spent, limit))
+        yield now
         if log.over:
             return
+
+
+def _add(
+    log: DriveLog,
+    observation: Observation,
+    simulation: Simulation,
+    T_world_base: Pose3,
+    estimate: Pose2 | Pose3,
+    recorder: Recorder | None,
+) -> None:
+    """Log a mapped observation with the truth, and hand it to the recorder."""
+    masks = (simulation.walker_beams, simulation.walker_points) if simulation.config.actors else (None, None)
+    log.add(observation, T_world_base, estimate, *masks)
+    if recorder is not None:
+        recorder(observation, T_world_base, log.in_plane(estimate))
 
 
 def planar(pose: Pose2 | Pose3) -> Pose2:
@@ -94,34 +256,8 @@ def planar(pose: Pose2 | Pose3) -> Pose2:
     return pose.to_pose2() if isinstance(pose, Pose3) else pose
 
 
-def _map(
-    observation: Observation,
-    simulation: Simulation,
-    mapper: MapperUnderTest,
-    log: DriveLog,
-    recorder: Recorder | None,
-) -> Estimate:
-    """Map an observation and log it with the truth; return the mapper's estimate."""
-    estimate, T_world_base = mapper.observe(observation), simulation.pose()
-    masks = (simulation.walker_beams, simulation.walker_points) if simulation.config.actors else (None, None)
-    log.add(observation, T_world_base, estimate.pose, *masks)
-    if recorder is not None:
-        recorder(observation, T_world_base, log.in_plane(estimate.pose))
-    return estimate
-
-
-def _failure(simulation: Simulation, driver: Driver, now: float) -> tuple[Status, str] | None:
-    mishap = simulation.mishap
-    if mishap:
-        what = "tipped over" if mishap == "tipped" else "left the world"
-        return mishap, f"the robot {what} at {now:.1f} s"
-    if driver.stuck:
-        return "stuck", f"the robot made no progress and gave up at {now:.1f} s"
-    return None
-
-
 def _result(
-    tracking: LostRule, finished: str, now: float, seconds: float, spent: float, wall_limit: float | None
+    tracking: LostRule, finished: str, now: float, seconds: float, spent: float, limit: float
 ) -> tuple[Status, str]:
     """Return status and reason of a drive that ends without a failure of the robot."""
     lost = tracking.reason()
@@ -129,12 +265,15 @@ def _result(
         return "lost", lost
     if finished and now < seconds:
         return "ok", f"{finished} at {now:.1f} s"
-    if wall_limit is not None and spent >= wall_limit and now < seconds:
+    if spent >= limit and now < seconds:
         return "wall limit", (
             f"stopped at the wall limit, after {spent:.1f} s for {now:.1f} of {seconds:g} simulated seconds; "
             "its real-time factor is extrapolated from these"
         )
     return "ok", ""
+
+
+T = TypeVar("T")
 
 
 class PackedList(Generic[T]):

@@ -1,4 +1,4 @@
-"""Mappers by name, the user's own classes, and the Python interpreter that runs a third-party mapper."""
+"""The user's own classes, and the Python interpreter that runs a third-party mapper."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.machinery import PathFinder
-from importlib.metadata import distributions
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -18,17 +17,7 @@ from typing import Any
 
 from lirs_validation.processes import importable
 from lirs_wct.errors import ConfigError, unknown_name
-from slam_baselines.mapper import (
-    ALL_CLOUD_MAPPERS,
-    CLOUD_MAPPERS,
-    MAPPERS,
-    CloudMapper,
-    Mapper,
-    make_cloud_mapper,
-    make_mapper,
-    read_parameters,
-    reads_clouds,
-)
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS, CLOUD_MAPPERS, CloudMapper, Mapper, reads_clouds
 
 RESOLUTION = 0.05
 """Edge of a map's cell for a mapper of your own that takes it, meters; ours use the same."""
@@ -36,34 +25,18 @@ METHODS, PROPERTIES = ("update", "map", "trajectory"), ("stats", "lost")
 CLOUD_METHODS = ("update", "trajectory")
 
 
-def mapper_named(name: str, seed: int, parameters: str = "") -> Mapper | CloudMapper:
-    """Create a mapper by its name, or by `module:name` of a class or function that makes one.
+def own_mapper(name: str, seed: int, options: Mapping[str, Any]) -> Mapper | CloudMapper:
+    """Create a mapper by `module:name` of a class or function that makes one.
 
-    A class of your own gets `seed` and `resolution` as keywords where it takes them.
+    It gets `seed` and `resolution` as keywords where it takes them.
 
     Raises:
-        ConfigError: nothing has that name, it cannot be imported or made, a package is missing, or
-            it is no mapper.
+        ConfigError: it cannot be imported or made, or is no mapper.
     """
-    options = read_parameters(parameters)
-    if name in ALL_CLOUD_MAPPERS:
-        return make_cloud_mapper(name, seed=seed, **options)
-    if ":" not in name:
-        if name not in MAPPERS:
-            raise unknown_name("mapper", name, [*MAPPERS, *ALL_CLOUD_MAPPERS, "module:name of your own"])
-        return make_mapper(name, seed=seed, **options)
     if name.startswith("evalio:"):
         raise unknown_name("mapper", name, [each for each in ALL_CLOUD_MAPPERS if each.startswith("evalio:")])
-    maker = own_class(name, "mapper", "update")
-    for key in set(options) - set(keywords_taken(maker, options)):
-        raise ConfigError(f"mapper {name!r} takes no parameter {key!r}")
-    mapper: Any = make_own(maker, {"seed": seed, "resolution": RESOLUTION} | options, name, "mapper")
-    methods = CLOUD_METHODS if reads_clouds(mapper) else METHODS
-    lacking = [f"{m}()" for m in methods if not callable(getattr(mapper, m, None))]
-    lacking += [p for p in PROPERTIES if p not in dir(mapper)]
-    if lacking:
-        needed = ", ".join((*(f"{m}()" for m in methods), *PROPERTIES))
-        raise ConfigError(f"mapper {name!r}: lacks {', '.join(lacking)}; a mapper has {needed}")
+    mapper: Any = make_own(name, "mapper", "update", {"seed": seed, "resolution": RESOLUTION}, options)
+    check_members(mapper, name, "mapper", CLOUD_METHODS if reads_clouds(mapper) else METHODS, PROPERTIES)
     own: Mapper | CloudMapper = mapper
     return own
 
@@ -75,8 +48,8 @@ def own_class(name: str, what: str, method: str) -> Callable[..., Any]:
 
     Args:
         name: `module:name` or `file.py:name`.
-        what: Kind of the made object, such as "mapper".
-        method: Method of the made object; if the name is unknown, the error lists classes with it.
+        what: Kind of the object that it makes, such as "mapper".
+        method: Method of that object; if the name is unknown, the error lists classes with it.
 
     Raises:
         ConfigError: the module cannot be imported, or has nothing of that name that can be called.
@@ -94,18 +67,44 @@ def own_class(name: str, what: str, method: str) -> Callable[..., Any]:
     )
 
 
-def make_own(maker: Callable[..., Any], offered: Mapping[str, Any], name: str, what: str) -> Any:
-    """Call a maker with those of the offered keywords that it takes.
+def make_own(name: str, what: str, method: str, offered: Mapping[str, Any], given: Mapping[str, Any]) -> Any:
+    """Make an object of a user's class (see `own_class`).
+
+    It gets the given keywords, and those of the offered ones that it takes.
 
     Raises:
-        ConfigError: it raised, or ended the program.
+        ConfigError: there is no such class, it does not take a given keyword, or it raised.
     """
+    maker = own_class(name, what, method)
     try:
-        return maker(**keywords_taken(maker, offered))
+        parameters = list(inspect.signature(maker).parameters.values())
+    except ValueError:  # some classes of compiled modules have no signature
+        parameters = []
+    names = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        names += [*offered, *given]
+    for key in set(given) - set(names):
+        raise ConfigError(
+            f"{what} {name!r} takes no parameter {key!r}; it takes {', '.join(names) or 'none'}"
+        )
+    keywords = {key: value for key, value in {**offered, **given}.items() if key in names}
+    try:
+        return maker(**keywords)
     except (ConfigError, KeyboardInterrupt):
         raise
     except BaseException as error:  # `sys.exit` too
         raise ConfigError(f"{what} {name!r}: cannot be made: {type(error).__name__}: {error}") from error
+
+
+def check_members(
+    made: object, name: str, what: str, methods: tuple[str, ...], properties: tuple[str, ...] = ()
+) -> None:
+    """Check that an object of a user's class has its methods and properties."""
+    lacking = [f"{method}()" for method in methods if not callable(getattr(made, method, None))]
+    lacking += [name for name in properties if name not in dir(made)]
+    if lacking:
+        needed = ", ".join((*(f"{method}()" for method in methods), *properties))
+        raise ConfigError(f"{what} {name!r}: lacks {', '.join(lacking)}; a {what} has {needed}")
 
 
 def own_source_file(name: str) -> Path | None:
@@ -122,19 +121,6 @@ def own_source_file(name: str) -> Path | None:
             return None
         folders = list(spec.submodule_search_locations or ())
     return Path(spec.origin) if spec is not None and spec.origin else None
-
-
-def keywords_taken(maker: Callable[..., Any], offered: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the offered keywords that a maker accepts."""
-    try:
-        parameters = inspect.signature(maker).parameters.values()
-    except ValueError:  # some classes of compiled modules have no signature
-        return {}
-    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters):
-        return dict(offered)
-    by_keyword = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    names = {p.name for p in parameters if p.kind in by_keyword}
-    return {key: value for key, value in offered.items() if key in names}
 
 
 def _module(module: str, named: str) -> ModuleType:
@@ -180,41 +166,24 @@ PATIENCE = 60.0
 """Seconds within which an interpreter answers."""
 
 
-def interpreter_of(mapper: str, interpreter: str | None = None) -> str | None:
-    """Return the interpreter that runs a third-party mapper; None = this one.
-
-    Args:
-        mapper: Name, or `module:name` of your own.
-        interpreter: Path or name of an interpreter; None = this one.
+def interpreter_of(mapper: str, interpreter: str) -> str:
+    """Return the path of the interpreter that runs a mapper.
 
     Raises:
         ConfigError: the interpreter cannot run this program, or lacks the mapper's package.
     """
-    if interpreter is None:
-        return None
     python = shutil.which(str(Path(interpreter).expanduser()))
     if python is None:
         raise ConfigError(f"{interpreter}: no such program; --mapper-python takes a Python interpreter")
     method = CLOUD_MAPPERS.get(mapper)
     package = "lirs-wct" if method is None else method.distribution
-    if not _version_there(python, package) and method is not None:
+    if not version_there(python, package) and method is not None:
         raise ConfigError(f"{interpreter}: has no package {package}, which {mapper} needs")
     return python
 
 
-def package_versions(mapper: str, interpreter: str | None = None) -> dict[str, str]:
-    """Return the versions of a mapper's own packages where it runs; empty for our methods."""
-    method = CLOUD_MAPPERS.get(mapper)
-    if method is None:
-        return {}
-    package, python = method.distribution, interpreter_of(mapper, interpreter)
-    here = next((each.version for each in distributions(name=package)), "")
-    version = here if python is None else _version_there(python, package)
-    return {package: version} if version else {}
-
-
 @cache
-def _version_there(python: str, package: str) -> str:
+def version_there(python: str, package: str) -> str:
     """Return the version of a package in another interpreter; empty without it."""
     command = [python, "-P", "-c", PROBE, package]
     try:

@@ -1,17 +1,16 @@
-"""Mapper of a run or a log, isolated: in this process, or foreign code in a process of its own.
+"""Mapper of a run or a log: ours in this process, foreign code in a process of its own.
 
-Its inputs are read-only copies, its answers are checked, and its failures become `MapperError`.
+Its answers are checked, and its failures become `MapperError`; foreign code reads copies of its inputs.
 """
 
 from __future__ import annotations
 
 import math
-import re
 import subprocess
 import time
 import traceback
-from copy import deepcopy
-from dataclasses import FrozenInstanceError, dataclass
+from dataclasses import dataclass
+from importlib.metadata import distributions
 from multiprocessing.connection import Connection
 from operator import attrgetter
 from tempfile import TemporaryFile
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
 import numpy as np
 
 from lirs_validation.config import DRIVERS, Attitude, MapConfig, RunConfig, driver_parts
-from lirs_validation.experiment.loading import interpreter_of, mapper_named
+from lirs_validation.experiment.loading import interpreter_of, own_mapper, version_there
 from lirs_validation.processes import ChildProcess, Cost, CostMeter, is_interrupt
 from lirs_wct import (
     ConfigError,
@@ -34,22 +33,30 @@ from lirs_wct import (
     Pose3,
     Trajectory,
     WctError,
+    unknown_name,
 )
-from slam_baselines.mapper import CLOUD_MAPPERS, CloudMapper, Mapper, MapperStats, asks_for, reads_clouds
+from slam_baselines.mapper import (
+    ALL_CLOUD_MAPPERS,
+    CLOUD_MAPPERS,
+    MAPPERS,
+    CloudMapper,
+    Mapper,
+    MapperStats,
+    asks_for,
+    make_cloud_mapper,
+    make_mapper,
+    read_parameters,
+    reads_clouds,
+)
 
 if TYPE_CHECKING:  # mapping a log does not load the simulator
     from lirs_envs.sensing.sensors import Observation
 
-READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
-"""Matches messages of NumPy and Numba about a write into a read-only array."""
 PATIENCE = 1.0
 """Seconds that a mapper at work is given to tidy up before its process is killed."""
-LOST_SECONDS = 5.0
-LOST_SCANS = 10
-"""A mapper that does not know its place for so long, and during so many scans in a row, has lost it ..."""
-LOST_SHARE = 0.05
-"""... and so has one that does not know it for more than this share of the scans."""
 T = TypeVar("T")
+_NUMBERS = {kind: attrgetter(*kind.__match_args__) for kind in (Pose2, Pose3)}
+"""Functions that return the numbers of a pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +93,54 @@ class Estimate:
     seconds: float
 
 
+LOST_SECONDS = 5.0
+LOST_SCANS = 10
+"""A mapper that does not know its place for so long, and during so many scans in a row, has lost it ..."""
+LOST_SHARE = 0.05
+"""... and so has one that does not know it for more than this share of the scans."""
+
+
+class LostRule:
+    """Rule that decides scan by scan whether a mapper is lost."""
+
+    def __init__(self) -> None:
+        self._scans = self._lost = self._in_a_row = 0
+        self._begun = self._longest = self._longest_begun = 0.0
+
+    def observe(self, stamp: float, lost: bool) -> None:
+        """Take in whether the mapper knew its place after the scan of a stamp, seconds."""
+        self._scans += 1
+        if not lost:
+            self._in_a_row = 0
+            return
+        self._lost += 1
+        self._begun = self._begun if self._in_a_row else stamp
+        self._in_a_row += 1
+        seconds = stamp - self._begun
+        if self._in_a_row >= LOST_SCANS and seconds >= max(LOST_SECONDS, self._longest):
+            self._longest, self._longest_begun = seconds, self._begun
+
+    @property
+    def too_long(self) -> str | None:
+        """Message about the longest loss; None below 5 s or 10 scans."""
+        if self._longest == 0.0:
+            return None
+        return f"the mapper lost its place at {self._longest_begun:.1f} s for {self._longest:.1f} s"
+
+    def reason(self) -> str | None:
+        """Return why the mapper is lost; None if it is not.
+
+        The time and the share of all scans so far count.
+        """
+        share = self._lost / self._scans if self._scans else 0.0
+        if self.too_long is None and share <= LOST_SHARE:
+            return None
+        counted = f"{self._lost} of {self._scans} scans ({100 * share:.1f} %)"
+        if self.too_long is None:
+            return f"the mapper did not know its place during {counted}"
+        return f"{self.too_long}; it did not know it during {counted}"
+
+
 class MapperUnderTest(Protocol):
     """Interface of a mapper of a run or a log.
 
@@ -106,35 +161,21 @@ class MapperUnderTest(Protocol):
 
         Raises:
             ConfigError: it reads point clouds or all inertial readings, and there are none.
-            MapperError: it fails, writes into its inputs, or returns no finite pose of its kind.
+            MapperError: it fails, or returns no finite pose of its kind.
         """
-        ...
 
     def map(self) -> OccupancyGrid:
-        """Return the mapper's map.
-
-        Raises:
-            ConfigError: it is a mapper of point clouds.
-            MapperError: it fails, or returns no occupancy grid.
-        """
-        ...
+        """Return the map of a planar mapper."""
 
     def trajectory(self) -> Trajectory:
-        """Return the mapper's trajectory.
-
-        Raises:
-            MapperError: it fails, or returns no finite trajectory.
-        """
-        ...
+        """Return the mapper's trajectory."""
 
     @property
     def stats(self) -> MapperStats:
         """Statistics of the mapper."""
-        ...
 
     def cost(self) -> Cost:
         """Return the mapper's cost in addition to this process's."""
-        ...
 
     def close(self) -> None:
         """Release the mapper's resources."""
@@ -156,24 +197,28 @@ class LocalMapper:
         self._reads_odometry = asks_for(mapper, "reads_odometry")
 
     def observe(self, observation: Observation | SensorReadings) -> Estimate:
-        """Give the mapper copies of an observation; return its estimate."""
+        """Give the mapper an observation; return its estimate."""
         begun = time.perf_counter()
         sensed = observation.cloud if self.reads_clouds else observation.scan
         if sensed is None:
             raise ConfigError("a mapper of point clouds needs a lidar with rings")
         if self.reads_inertial and observation.inertial is None:
             raise ConfigError(f"mapper {self.name!r} needs inertial readings near 200 Hz: there are none")
-        imu = _imu_copy(observation.imu) if self._attitude == "imu" else None
+        imu = observation.imu if self._attitude == "imu" else None
         try:
-            if isinstance(sensed, PointCloud):
-                further: list[Any] = [deepcopy(observation.inertial)] if self.reads_inertial else []
-                further += [_pose_copy(observation.odometry)] if self._reads_odometry else []
-                pose = self._mapper.update(_cloud_copy(sensed), imu, *further)
+            if self.reads_clouds:
+                further: list[Any] = [observation.inertial] if self.reads_inertial else []
+                further += [observation.odometry] if self._reads_odometry else []
+                pose = self._mapper.update(sensed, imu, *further)
             else:
-                pose = self._mapper.update(_scan_copy(sensed), _pose_copy(observation.odometry), imu)
+                pose = self._mapper.update(sensed, observation.odometry, imu)
         except BaseException as error:
             self._raise_failure("update()", error, f" for the scan at {sensed.stamp:.3f} s")
-        check_pose(pose, Pose3 if self.reads_clouds else Pose2, sensed.stamp)
+        kind, where = Pose3 if self.reads_clouds else Pose2, f"for the scan at {sensed.stamp:.3f} s"
+        if not isinstance(pose, kind):
+            raise MapperError(f"update() must return a {kind.__name__}, got {type(pose).__name__} {where}")
+        if not all(map(math.isfinite, _NUMBERS[kind](pose))):
+            raise MapperError(f"update() must return a finite pose, got {pose} {where}")
         seconds = time.perf_counter() - begun
         try:
             lost = bool(self._mapper.lost)
@@ -225,52 +270,7 @@ class LocalMapper:
         if isinstance(error, WctError):
             raise error
         kind = ": ".join(filter(None, (type(error).__name__, str(error))))
-        if isinstance(error, FrozenInstanceError) or READ_ONLY.search(str(error)):
-            raise MapperError(
-                f"mapper {self.name!r}: {part} writes into what it was given{where} ({kind}); "
-                "what it is given is read-only, change a copy"
-            ) from error
         raise MapperError(f"mapper {self.name!r}: {part} failed{where}: {kind}") from error
-
-
-def _scan_copy(scan: LaserScan) -> LaserScan:
-    ranges = scan.ranges.copy()
-    ranges.flags.writeable = False
-    s, p = scan, scan.T_base_laser  # dataclasses.replace takes twice as long
-    mount = Pose3(p.x, p.y, p.z, p.qw, p.qx, p.qy, p.qz)
-    limits = s.angle_min, s.angle_increment, s.range_min, s.range_max
-    return LaserScan(ranges, *limits, s.stamp, mount, s.time_increment)
-
-
-def _cloud_copy(cloud: PointCloud) -> PointCloud:
-    copy = deepcopy(cloud)
-    for array in (copy.xyz, copy.ring, copy.time, copy.intensity, copy.column):
-        if array is not None:
-            array.flags.writeable = False
-    return copy
-
-
-def _pose_copy(pose: Pose2 | None) -> Pose2 | None:
-    return None if pose is None else Pose2(pose.x, pose.y, pose.yaw)
-
-
-def _imu_copy(imu: Imu | None) -> Imu | None:
-    i = imu  # its vectors are immutable
-    return i and Imu(i.roll, i.pitch, i.angular_velocity, i.linear_acceleration, i.stamp)
-
-
-_NUMBERS = {kind: attrgetter(*kind.__match_args__) for kind in (Pose2, Pose3)}
-"""Functions that return the numbers of a pose."""
-
-
-def check_pose(pose: object, kind: type[Pose2 | Pose3], stamp: float) -> None:
-    """Check that an answer is a finite pose of a mapper's kind."""
-    if not isinstance(pose, kind):
-        raise MapperError(
-            f"update() must return a {kind.__name__}, got {type(pose).__name__} for the scan at {stamp:.3f} s"
-        )
-    if not all(map(math.isfinite, _NUMBERS[kind](pose))):
-        raise MapperError(f"update() must return a finite pose, got {pose} for the scan at {stamp:.3f} s")
 
 
 def check_sensors(mapper: MapperUnderTest, config: RunConfig) -> None:
@@ -315,9 +315,40 @@ def start_mapper(config: RunConfig) -> MapperUnderTest:
     """
     if needs_process(config.mapper):
         return MapperProcess(config)
-    interpreter_of(config.mapper, config.mapper_python)
+    if config.mapper_python is not None:
+        interpreter_of(config.mapper, config.mapper_python)
     mapper = mapper_named(config.mapper, config.seed, config.parameters)
     return LocalMapper(mapper, config.mapper, config.attitude)
+
+
+def mapper_named(name: str, seed: int, parameters: str = "") -> Mapper | CloudMapper:
+    """Create a mapper by its name, or by `module:name` of your own class.
+
+    Raises:
+        ConfigError: nothing has that name, it cannot be imported or made, a package is missing, or
+            it is no mapper.
+    """
+    options = read_parameters(parameters)
+    if name in MAPPERS:
+        return make_mapper(name, seed=seed, **options)
+    if name in ALL_CLOUD_MAPPERS:
+        return make_cloud_mapper(name, seed=seed, **options)
+    if ":" not in name:
+        raise unknown_name("mapper", name, [*MAPPERS, *ALL_CLOUD_MAPPERS, "module:name of your own"])
+    return own_mapper(name, seed, options)
+
+
+def package_versions(mapper: str, interpreter: str | None = None) -> dict[str, str]:
+    """Return the versions of a mapper's own packages where it runs; empty for our methods."""
+    method = CLOUD_MAPPERS.get(mapper)
+    if method is None:
+        return {}
+    package = method.distribution
+    if interpreter is None:
+        version = next((each.version for each in distributions(name=package)), "")
+    else:
+        version = version_there(interpreter_of(mapper, interpreter), package)
+    return {package: version} if version else {}
 
 
 class MapperProcess:
@@ -333,7 +364,8 @@ class MapperProcess:
         self._errors = TemporaryFile() if third_party else None  # noqa: SIM115 (it outlives this method)
         outputs = {"stdout": subprocess.DEVNULL, "stderr": self._errors} if third_party else {}
         try:
-            python = interpreter_of(config.mapper, config.mapper_python)
+            path = config.mapper_python
+            python = None if path is None else interpreter_of(config.mapper, path)
             self._child = ChildProcess(f"{__name__}:serve_mapper", PATIENCE, python, **outputs)
         except OSError as error:
             raise MapperError(f"mapper {config.mapper!r}: its process cannot be started ({error})") from error
@@ -384,13 +416,13 @@ class MapperProcess:
             self._child.pipe.send((part, *arguments))
             value, error = self._child.pipe.recv()
         except (EOFError, OSError):
-            self._raise_end()
+            raise self._death() from None
         if error is not None:
             raise error
         return value
 
-    def _raise_end(self) -> NoReturn:
-        """Raise the error of a process that has ended, with the last line that it wrote."""
+    def _death(self) -> MapperError:
+        """Return the error of a process that has ended, with the last line that it wrote."""
         how = self._child.cause_of_death()
         memory = "; the system may have lacked memory" if how.endswith("SIGKILL") else ""
         last = ""
@@ -398,7 +430,7 @@ class MapperProcess:
             self._errors.seek(0)
             lines = self._errors.read().decode(errors="replace").split("\n")
             last = next((f": {line.strip()}" for line in reversed(lines) if line.strip()), "")
-        raise MapperError(f"mapper {self.name!r}: its process ended ({how}{memory}){last}")
+        return MapperError(f"mapper {self.name!r}: its process ended ({how}{memory}){last}")
 
 
 def serve_mapper(pipe: Connection) -> None:
@@ -421,55 +453,7 @@ def serve_mapper(pipe: Connection) -> None:
                 member = getattr(mapper, part)
                 value = member(*arguments) if callable(member) else member
         except Exception as error:
-            failure = _sendable(error)
+            ours = type(error).__module__ == WctError.__module__
+            failure = error if ours else MapperError(str(error))  # others may not be serializable
+            failure.add_note(f"In the mapper's process:\n{''.join(traceback.format_exception(error))}")
         pipe.send((value, failure))
-
-
-def _sendable(error: Exception) -> Exception:
-    """Return a serializable error, with a note of its origin."""
-    note = f"In the mapper's process:\n{''.join(traceback.format_exception(error))}"
-    if type(error).__module__ != WctError.__module__:
-        error = MapperError(str(error))
-    error.add_note(note)
-    return error
-
-
-class LostRule:
-    """Rule that decides scan by scan whether a mapper is lost."""
-
-    def __init__(self) -> None:
-        self._scans = self._lost = self._in_a_row = 0
-        self._begun = self._longest = self._longest_begun = 0.0
-
-    def observe(self, stamp: float, lost: bool) -> None:
-        """Take in whether the mapper knew its place after the scan of a stamp, seconds."""
-        self._scans += 1
-        if not lost:
-            self._in_a_row = 0
-            return
-        self._lost += 1
-        self._begun = self._begun if self._in_a_row else stamp
-        self._in_a_row += 1
-        seconds = stamp - self._begun
-        if self._in_a_row >= LOST_SCANS and seconds >= max(LOST_SECONDS, self._longest):
-            self._longest, self._longest_begun = seconds, self._begun
-
-    @property
-    def too_long(self) -> str | None:
-        """Message about the longest loss; None below 5 s or 10 scans."""
-        if self._longest == 0.0:
-            return None
-        return f"the mapper lost its place at {self._longest_begun:.1f} s for {self._longest:.1f} s"
-
-    def reason(self) -> str | None:
-        """Return why the mapper is lost; None if it is not.
-
-        The time and the share of all scans so far count.
-        """
-        share = self._lost / self._scans if self._scans else 0.0
-        if self.too_long is None and share <= LOST_SHARE:
-            return None
-        counted = f"{self._lost} of {self._scans} scans ({100 * share:.1f} %)"
-        if self.too_long is None:
-            return f"the mapper did not know its place during {counted}"
-        return f"{self.too_long}; it did not know it during {counted}"

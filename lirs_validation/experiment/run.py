@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,14 +14,12 @@ import numpy as np
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import FRONTIER, STAND, RunConfig
-from lirs_validation.driving.choice import COMMANDS, StandingDriver, check_driver, make_driver
+from lirs_validation.driving.choice import COMMANDS, check_driver, make_driver
 from lirs_validation.driving.frontier_route import warm_up_explorer
-from lirs_validation.driving.path_driver import Driver
-from lirs_validation.experiment.drive import DriveLog, drive
+from lirs_validation.experiment.drive import DriveLog, Driver, Scenario, ScenarioCache, drive
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_drive, evaluate_maps
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_sensors, start_mapper
 from lirs_validation.experiment.recording import Recording, recording
-from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.metrics.elevation import ELEVATION, write_elevation
 from lirs_validation.processes import CostMeter, compile_timer, is_shared, load_average
 from lirs_validation.record.run_record import RunRecord
@@ -170,7 +168,7 @@ def run_unwritten(
     ready = prepare(config, scenarios=scenarios)
     with closing(ready.mapper):
         log = ready.log()
-        for _ in drive(ready.simulation, ready.driver, ready.mapper, log, ready.seconds):
+        for _ in ready.drive(log):
             pass
         log.final_trajectory = ready.mapper.trajectory()
         scores = evaluate_maps(ready.scenario.world, log, ready.mapper).scores if maps else {}
@@ -188,6 +186,7 @@ class ReadyRun:
         mapper: Mapper under test.
         seconds: Simulated time of the drive, standing included.
         compile_seconds: Wall seconds that the compiler took.
+        stand: Simulated seconds of standing before it drives.
     """
 
     scenario: Scenario
@@ -196,10 +195,16 @@ class ReadyRun:
     mapper: MapperUnderTest
     seconds: float
     compile_seconds: float
+    stand: float = 0.0
 
     def log(self) -> DriveLog:
         """Return an empty log of the drive."""
         return DriveLog(self.driver.start, self.mapper.reads_clouds)
+
+    def drive(self, log: DriveLog, **options: Any) -> Iterator[float]:
+        """Drive, with the options of `drive`; yield the simulated time of each scan."""
+        parts = self.simulation, self.driver, self.mapper
+        return drive(*parts, log, self.seconds, stand=self.stand, **options)
 
     def cost(self, meter: CostMeter) -> dict[str, Any]:
         """Return the cost of the drive so far: `cpu_seconds`, `peak_memory`."""
@@ -228,13 +233,12 @@ def prepare(
             stand = config.stand
             if stand is None:
                 stand = STAND if mapper.reads_inertial else 0.0
-            driver = StandingDriver(driver, stand) if stand else driver
             progress("compile", 0.0)
             inertial = config.bag is not None or mapper.reads_inertial
             simulation = scenario.simulation(robot, inertial=inertial)
             warm_up(config, simulation, driver.start)
         on_failure.pop_all()
-    return ReadyRun(scenario, simulation, driver, mapper, config.seconds + stand, compile_seconds())
+    return ReadyRun(scenario, simulation, driver, mapper, config.seconds + stand, compile_seconds(), stand)
 
 
 def warm_up(config: RunConfig, simulation: Simulation, start: Pose2) -> None:
@@ -262,23 +266,14 @@ def drive_and_conclude(
     brief: bool = False,
 ) -> Run:
     """Drive, record, evaluate and write a prepared run (see `run`); close its mapper."""
-    config, simulation, log = ready.scenario.config, ready.simulation, ready.log()
+    config, log = ready.scenario.config, ready.log()
     bag: AbstractContextManager[Recording | None] = nullcontext()
     if config.bag is not None and out is not None:
-        bag = recording(config, out, simulation.period)
+        bag = recording(config, out, ready.simulation.period)
     with bag as recorder, closing(ready.mapper):
         meter = CostMeter()
-        ticks = drive(
-            simulation,
-            ready.driver,
-            ready.mapper,
-            log,
-            ready.seconds,
-            wall_limit=config.wall_limit,
-            recorder=None if recorder is None else recorder.add,
-        )
-        shown = 1.0
-        for driven in ticks:
+        shown, record = 1.0, None if recorder is None else recorder.add
+        for driven in ready.drive(log, wall_limit=config.wall_limit, recorder=record):
             if driven >= shown:
                 progress("drive", driven / ready.seconds)
                 shown += 1.0

@@ -18,12 +18,9 @@ import numpy as np
 from lirs_envs.robots.robot import Robot, Twist, clip, make_robot
 from lirs_validation.analysis.results import recorded_truth, recorded_world_config
 from lirs_validation.config import MANUAL, RunConfig, run_name
-from lirs_validation.driving.choice import WrappedDriver
-from lirs_validation.driving.path_driver import Driver
-from lirs_validation.experiment.drive import DriveLog, drive
+from lirs_validation.experiment.drive import DriveLog, Driver, ScenarioCache
 from lirs_validation.experiment.evaluation import evaluate_drive, evaluate_maps
 from lirs_validation.experiment.run import Run, conclude, prepare
-from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.construction import Facts, with_own_picture
 from lirs_validation.metrics.trajectory import rigid_alignment, rms
 from lirs_validation.processes import CostMeter
@@ -206,13 +203,12 @@ def ate(truth: FloatArray, estimate: FloatArray) -> float:
     return rms(np.linalg.norm(aligned - truth[:, :2], axis=1))
 
 
-class HandOverDriver(WrappedDriver):
+class HandOverDriver:
     """Driver that switches between another driver and a person (`by_hand`; `touched` once it was)."""
 
     def __init__(self, driver: Driver, robot: Robot) -> None:
-        super().__init__(driver)
-        self._robot = robot
-        self._wanted = Twist()
+        self.start, self.frame = driver.start, driver.frame
+        self._driver, self._robot, self._wanted = driver, robot, Twist()
         self.by_hand = self.touched = False
 
     def steer(self, forward: float, left: float) -> None:
@@ -224,12 +220,12 @@ class HandOverDriver(WrappedDriver):
     @property
     def stuck(self) -> bool:
         """Whether the driver gave up; a person never does."""
-        return not self.by_hand and super().stuck
+        return not self.by_hand and self._driver.stuck
 
     @property
     def finished(self) -> str:
         """Reason for the end of the drive; empty before the end."""
-        return "" if self.by_hand else super().finished
+        return "" if self.by_hand else self._driver.finished
 
     def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
         """Return the command for the next tick."""
@@ -251,8 +247,7 @@ class LiveDrive(Playback):
         self.driver = HandOverDriver(ready.driver, ready.simulation.robot)
         self._ready = replace(ready, driver=self.driver)
         self._meter, log = CostMeter(), ready.log()
-        limit = config.wall_limit
-        self._ticks = drive(ready.simulation, self.driver, ready.mapper, log, ready.seconds, wall_limit=limit)
+        self._ticks = self._ready.drive(log, wall_limit=config.wall_limit)
         next(self._ticks)
         super().__init__(config.robot, ready.scenario.world, ready.seconds, log)
         self.config, self.status = config, "driving"

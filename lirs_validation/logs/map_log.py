@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lirs_validation.config import MapConfig, sha256
-from lirs_validation.experiment.loading import mapper_named
 from lirs_validation.experiment.mapper_under_test import (
     LocalMapper,
     LostRule,
     MapperProcess,
     MapperUnderTest,
     SensorReadings,
+    mapper_named,
     needs_process,
 )
 from lirs_validation.logs.preflight import Preflight, check_log_data

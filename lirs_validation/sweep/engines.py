@@ -1,60 +1,232 @@
 """Engines of a sweep: worker processes of this machine, or a Ray cluster; results do not depend on them.
 
-On a cluster only this process writes the results. A task whose worker dies is run again elsewhere (at least
-once); its result is written once.
+A worker process does many jobs, and is replaced after a crash or a time limit. On a cluster only this process
+writes the results; a task whose worker dies is run again elsewhere, its result is written once.
 """
 
 from __future__ import annotations
 
+import faulthandler
 import logging
+import math
 import os
 import socket
 import tempfile
+import threading
+import time
+import traceback
 import warnings
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
-from lirs_validation.config import EngineOptions, RunConfig
-from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
-from lirs_validation.processes import importable
-from lirs_validation.sweep.sweep import Executor, Outcome, ProgressOf, Serial, SweepTask, outcome_of
-from lirs_validation.sweep.workers import ONE_THREAD, Failure, WorkerPool
+from lirs_validation.config import RunConfig
+from lirs_validation.experiment.drive import Scenario, ScenarioCache, build_scenario
+from lirs_validation.processes import ChildProcess, importable
+from lirs_validation.sweep.sweep import Outcome, ProgressOf, SweepTask, outcome_of
 from lirs_wct.errors import ConfigError
 from lirs_wct.files import atomic_folder, remove_leftovers
 from lirs_wct.progress import Progress, no_progress
 
+T = TypeVar("T")
+Job = Callable[[Progress], T]
+"""Function that can be sent to a process and does the work there."""
+Report = Callable[[int, str, float], None]
+"""Function that receives a job's number, step and share."""
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
+"""Environment of a worker: as many threads as workers, or they fight for the cores."""
+GRACE = 3.0
+"""Seconds that a worker has to clean up before it is killed."""
+TRACE_SECONDS = 0.3
+"""Time after the limit in which a worker writes its traceback, seconds."""
+TRIES = 2
+"""Processes that a job gets in all, if they die."""
+LONGEST_WAIT = 3600.0
+"""Seconds of one wait, at most; longer waits are not supported by the system."""
 
-def make_executor(options: EngineOptions) -> Executor:
-    """Make a Ray cluster, processes for jobs or a time limit, or `Serial`."""
-    if options.address is not None:
-        return RayCluster(address=options.address, jobs=options.jobs, seconds=options.cell_timeout)
-    if options.jobs in (None, 1) and options.cell_timeout is None:
-        return Serial()
-    return Processes(jobs=options.jobs or 1, seconds=options.cell_timeout)
+
+@dataclass(frozen=True)
+class Failure:
+    """End of a job whose process died or exceeded its time.
+
+    Attributes:
+        status: Status of a run that ended so.
+        reason: Cause in one line.
+        trace: Traceback of the process, as far as there is one.
+    """
+
+    status: Literal["error", "timeout"]
+    reason: str
+    trace: str
+
+
+class WorkerPool:
+    """Processes for the jobs of one caller; a `with` block ends them.
+
+    Args:
+        size: Number of processes at a time.
+        seconds: Wall-clock time of a job; None = no limit.
+    """
+
+    def __init__(self, size: int, seconds: float | None = None) -> None:
+        self._size, self._seconds = size, seconds
+        self._workers: list[_Worker] = []
+        self._traces = tempfile.TemporaryDirectory(prefix="lirs-wct-traces-")
+
+    def __enter__(self) -> WorkerPool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop(self._workers)
+        self._traces.cleanup()
+
+    def run(
+        self, jobs: Sequence[Job[T]], report: Report = lambda number, step, share: None
+    ) -> Iterator[tuple[int, T | Failure]]:
+        """Yield the number and the result of each job as it ends.
+
+        An error of a job is raised. A job whose process dies is tried once more.
+        """
+        waiting, tries = deque(range(len(jobs))), Counter[int]()
+        try:
+            while waiting or self._busy:
+                self._hand_out(waiting, jobs)
+                for worker in self._ready():
+                    number = worker.job
+                    match worker.receive():
+                        case ("progress", step, share):
+                            report(number, step, share)
+                        case ("done", value):
+                            yield number, value
+                        case ("raised", error):
+                            raise error
+                        case Failure() as failure:
+                            self._workers.remove(worker)
+                            tries[number] += 1
+                            if failure.status == "error" and tries[number] < TRIES:
+                                waiting.appendleft(number)
+                            else:
+                                yield number, failure
+        finally:
+            self._stop(self._busy)
+
+    @property
+    def _busy(self) -> list[_Worker]:
+        return [worker for worker in self._workers if worker.job != IDLE]
+
+    def _hand_out(self, waiting: deque[int], jobs: Sequence[Job[Any]]) -> None:
+        """Give every idle worker a job; start workers while there are too few."""
+        while waiting and len(self._busy) < self._size:
+            idle = next((worker for worker in self._workers if worker.job == IDLE), None)
+            if idle is None:
+                idle = _Worker(Path(self._traces.name), self._seconds)
+                self._workers.append(idle)
+            number = waiting.popleft()
+            idle.begin(number, jobs[number])
+
+    def _ready(self) -> list[_Worker]:
+        """Wait until a worker sends a message, dies or exceeds its time; return those."""
+        busy = self._busy
+        pipes = wait([w.pipe for w in busy], min([LONGEST_WAIT, *(w.seconds_left for w in busy)]))
+        return [worker for worker in busy if worker.pipe in pipes or worker.seconds_left == 0.0]
+
+    def _stop(self, workers: Sequence[_Worker]) -> None:
+        """End processes; they clean up concurrently."""
+        for worker in workers:
+            worker.process.terminate()
+        for worker in list(workers):
+            self._workers.remove(worker)
+            worker.end()
+
+
+IDLE = -1
+"""Number of no job."""
+
+
+class _Worker(ChildProcess):
+    """Process that does one job at a time.
+
+    It sends `("begun",)`, then `("progress", step, share)` any number of times, then `("done", result)` or
+    `("raised", error)`.
+
+    Attributes:
+        job: number of the present job.
+    """
+
+    def __init__(self, traces: Path, seconds: float | None) -> None:
+        super().__init__(f"{__name__}:do_jobs", GRACE, env=os.environ | ONE_THREAD)
+        self._trace, self._seconds = traces / f"{self.process.pid}", seconds
+        self.job, self._deadline = IDLE, math.inf
+        with suppress(OSError):  # it has died: the pipe will say so
+            self.pipe.send((self._trace, seconds))
+
+    @property
+    def seconds_left(self) -> float:
+        """Seconds left for the job, infinite without a limit."""
+        return max(0.0, self._deadline - time.monotonic())
+
+    def begin(self, number: int, job: Job[Any]) -> None:
+        """Send a job. Its time starts with the message `begun`."""
+        self.job, self._deadline = number, math.inf
+        with suppress(OSError):
+            self.pipe.send(job)
+
+    def receive(self) -> tuple[Any, ...] | Failure:
+        """Return the next message, or the failure of a dead or overdue process."""
+        if self.seconds_left == 0.0:
+            return self._failure("timeout", f"no end within the experiment's {self._seconds:g} s")
+        try:
+            message: tuple[Any, ...] = self.pipe.recv()
+        except (EOFError, OSError):
+            cause = self.cause_of_death()
+            return self._failure("error", f"the process that ran it died {TRIES} times ({cause})")
+        if message[0] == "begun" and self._seconds is not None:
+            self._deadline = time.monotonic() + self._seconds + TRACE_SECONDS
+        elif message[0] in ("done", "raised"):
+            self.job = IDLE
+        return message
+
+    def _failure(self, status: Literal["error", "timeout"], reason: str) -> Failure:
+        self.end()
+        written = self._trace.is_file()
+        return Failure(status, reason, self._trace.read_text(errors="replace") if written else "")
+
+
+def do_jobs(pipe: Connection) -> None:
+    """Do the jobs that a pool sends."""
+    trace, seconds = pipe.recv()
+    file = trace.open("w")
+    faulthandler.enable(file)
+    while True:
+        job: Job[Any] = pipe.recv()
+        pipe.send(("begun",))
+        if seconds is not None:
+            faulthandler.dump_traceback_later(min(max(seconds, 1e-3), threading.TIMEOUT_MAX), file=file)
+        try:
+            message = ("done", job(lambda step, share: pipe.send(("progress", step, share))))
+        except Exception as error:
+            error.add_note("".join(traceback.format_exception(error)))
+            message = ("raised", error)
+        faulthandler.cancel_dump_traceback_later()
+        pipe.send(message)
 
 
 _SCENARIOS = ScenarioCache()
 """Worlds of a worker process."""
 
 
-@dataclass(frozen=True)
-class TaskJob:
-    """Job of a worker. A scenario that is already built saves its construction."""
-
-    task: SweepTask
-    out: Path
-    concurrent: bool
-    scenario: Scenario | None = None
-
-    def __call__(self, progress: Progress) -> Outcome:
-        """Run the task."""
-        if self.scenario is not None:
-            _SCENARIOS.put(self.scenario)
-        return self.task.attempt(self.out, _SCENARIOS, progress, concurrent=self.concurrent)
+def do_task(
+    task: SweepTask, out: Path, concurrent: bool, scenario: Scenario | None, progress: Progress
+) -> Outcome:
+    """Run a task, in a scenario that is already built if there is one."""
+    if scenario is not None:
+        _SCENARIOS.put(scenario)
+    return task.attempt(out, _SCENARIOS, progress, concurrent=concurrent)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +251,7 @@ class Processes:
         """Run tasks into folders of `out`."""
         names = [task.name for task in tasks]
         concurrent = self.concurrent or self.jobs > 1
-        jobs = [TaskJob(task, out, concurrent, self.scenario) for task in tasks]
+        jobs = [partial(do_task, task, out, concurrent, self.scenario) for task in tasks]
 
         def report(number: int, step: str, share: float) -> None:
             progress_of(names[number])(step, share)
@@ -211,8 +383,7 @@ def perform_remotely(
             engine = Processes(jobs=1, seconds=seconds, scenario=scenario, concurrent=True)
             outcome = next(engine.run([task], out, lambda name: no_progress))
         else:
-            job = TaskJob(task, out, concurrent=True, scenario=scenario)
-            outcome = job(no_progress)
+            outcome = do_task(task, out, True, scenario, no_progress)
         folder = out / task.name
         files = {p.name: p.read_bytes() for p in folder.iterdir()} if folder.is_dir() else {}
     return outcome, files
@@ -223,8 +394,9 @@ def ray_session(address: str, jobs: int | None = None) -> Iterator[Any]:
     """Connect to Ray for a `with` block. An existing cluster keeps running."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    if address != LOCAL:
-        _show_token()
+    named = any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
+    if address != LOCAL and (named or TOKEN.exists()):
+        os.environ.setdefault("RAY_AUTH_MODE", "token")  # read at Ray's import
     try:
         import ray
     except ImportError as error:
@@ -267,9 +439,3 @@ def _probe_address(address: str) -> None:
         socket.create_connection((host, int(port)), timeout=PATIENCE).close()
     except OSError as error:
         raise ConfigError(f"--address {address}: no Ray cluster answers there: {error}") from error
-
-
-def _show_token() -> None:
-    """Use Ray's token if this machine has one. Ray reads it at import."""
-    if any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")) or TOKEN.exists():
-        os.environ.setdefault("RAY_AUTH_MODE", "token")

@@ -14,12 +14,12 @@ from typing import Any, ClassVar
 
 from lirs_envs.robots.robot import make_robot
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions, write_verdicts
-from lirs_validation.config import FRONTIER, NOISE_FILES, RUN_AXES, TOUR, RunConfig, run_name
+from lirs_validation.config import FRONTIER, NOISE_FILES, RUN_AXES, TOUR, EngineOptions, RunConfig, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
-from lirs_validation.experiment.loading import own_source_file, package_versions
-from lirs_validation.experiment.mapper_under_test import check_sensors, start_mapper
+from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.loading import own_source_file
+from lirs_validation.experiment.mapper_under_test import check_sensors, package_versions, start_mapper
 from lirs_validation.experiment.run import run
-from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.run_record import (
     RECORD,
     RunRecord,
@@ -28,7 +28,7 @@ from lirs_validation.record.run_record import (
     versions,
     world_files,
 )
-from lirs_validation.sweep.sweep import Outcome, SweepTask
+from lirs_validation.sweep.sweep import Executor, Outcome, Serial, SweepTask
 from lirs_wct import BuildOptions, unknown_name
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import SourceError, reason_of
@@ -315,6 +315,17 @@ def make_suite(name: str, **options: Any) -> tuple[SweepTask, ...]:
     if name not in SUITES:
         raise unknown_name("suite", name, SUITES)
     return SUITES[name](**options)
+
+
+def make_executor(options: EngineOptions) -> Executor:
+    """Make a Ray cluster, processes for jobs or a time limit, or `Serial`."""
+    if options.address is None and options.jobs in (None, 1) and options.cell_timeout is None:
+        return Serial()
+    from lirs_validation.sweep.engines import Processes, RayCluster
+
+    if options.address is not None:
+        return RayCluster(address=options.address, jobs=options.jobs, seconds=options.cell_timeout)
+    return Processes(jobs=options.jobs or 1, seconds=options.cell_timeout)
 
 
 CASE = "case.yaml"

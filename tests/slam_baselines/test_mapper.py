@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lirs_validation.experiment.loading import mapper_named
+from lirs_validation.experiment.mapper_under_test import mapper_named
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_validation.driving.path_driver import Driver
+from lirs_validation.experiment.drive import Driver
 from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 

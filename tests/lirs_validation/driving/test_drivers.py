@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lirs_envs.robots.robot import ROBOTS
-from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
-from lirs_validation.driving.paths import room_at
+from lirs_validation.driving.choice import driver_config
+from lirs_validation.driving.path_driver import DriverConfig, PathDriver
 from lirs_validation.driving.routes import TourRoute
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import OccupancyGrid
@@ -75,7 +75,7 @@ def test_a_tour_is_long_enough_evenly_spaced_and_free() -> None:
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert steps.max() < 0.101
     assert 150.0 < steps.sum() < 260.0
-    assert (room_at(planner.ground.grid, planner.ground.room, points) > 0).all()
+    assert planner.ground.free[tuple(free.cells(points).T)].all()
 
 
 def test_it_starts_from_rest_and_straight_ahead() -> None:

@@ -120,22 +120,11 @@ class Half:
     def update(self, cloud: Any, imu: Any) -> Any: ...
 
 
-class Writes(Own):
-    def act(self, scan: Any, odometry: Any, imu: Any) -> None:
-        scan.ranges[:] = 1.0
-
-
-class Freezes(Own):
-    def act(self, scan: Any, odometry: Any, imu: Any) -> None:
-        odometry.x = 3.0
-
-
 class Forces(Own):
-    """Makes what it was given writable, and changes all of it, every time."""
+    """Changes all that it was given, every time."""
 
     def update(self, scan: Any, odometry: Any, imu: Any) -> Pose2:
         answer = super().update(scan, odometry, imu)
-        scan.ranges.flags.writeable = True
         scan.ranges[:] = 1.0
         for thing, name in ((scan, "stamp"), (scan.T_base_laser, "z"), (odometry, "x"), (imu, "pitch")):
             object.__setattr__(thing, name, 7.0)

@@ -10,8 +10,12 @@ import pytest
 
 from lirs_validation import Run, validate
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.loading import mapper_named, package_versions
-from lirs_validation.experiment.mapper_under_test import LocalMapper, SensorReadings
+from lirs_validation.experiment.mapper_under_test import (
+    LocalMapper,
+    SensorReadings,
+    mapper_named,
+    package_versions,
+)
 from lirs_validation.metrics.elevation import MAX_CLOUDS, CloudSample, read_elevation
 from lirs_validation.record.run_record import damaged_files, read_record, schema_error
 from lirs_validation.sweep.tasks import RunTask
@@ -178,8 +182,6 @@ class Wrong:
         self.answer = answer
 
     def update(self, cloud: PointCloud, imu: Imu | None) -> Any:
-        if self.answer == "writes":
-            cloud.xyz[0] = 0
         if isinstance(self.answer, Exception):
             raise self.answer
         return self.answer
@@ -193,15 +195,12 @@ class Wrong:
     [
         (Pose2(), r"must return a Pose3, got Pose2 for the scan at 1\.240 s"),
         (Pose3(z=math.inf), r"must return a finite pose, got Pose3.*inf.* for the scan at 1\.240 s"),
-        ("writes", r"update\(\) writes into what it was given for the scan at 1\.240 s .*read-only"),
         (ValueError("no"), r"mapper 'wrong': update\(\) failed for the scan at 1\.240 s: ValueError: no"),
     ],
 )
 def test_a_wrong_answer_costs_the_run_and_names_the_scan(answer: Any, message: str) -> None:
-    cloud = a_cloud()
     with pytest.raises(MapperError, match=message):
-        LocalMapper(Wrong(answer), "wrong").observe(SensorReadings(imu=Imu(), cloud=cloud))
-    assert (cloud.xyz == 1).all()
+        LocalMapper(Wrong(answer), "wrong").observe(SensorReadings(imu=Imu(), cloud=a_cloud()))
     with pytest.raises(MapperError, match=r"trajectory\(\) is not finite"):
         LocalMapper(Wrong(None), "wrong").trajectory()
 

@@ -11,8 +11,8 @@ import pytest
 
 from lirs_validation import RunConfig
 from lirs_validation.experiment import loading
-from lirs_validation.experiment.loading import interpreter_of, package_versions
-from lirs_validation.experiment.mapper_under_test import MapperProcess, SensorReadings
+from lirs_validation.experiment.loading import interpreter_of
+from lirs_validation.experiment.mapper_under_test import MapperProcess, SensorReadings, package_versions
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry import ImuReadings, LaserScan, PointCloud, Pose2, Pose3
 
@@ -142,8 +142,7 @@ def test_an_interpreter_that_cannot_be_used_is_refused_in_a_line(
 
 
 def test_a_given_interpreter_must_hold_the_systems_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loading, "_version_there", lambda python, package: "")
+    monkeypatch.setattr(loading, "version_there", lambda python, package: "")
     with pytest.raises(ConfigError, match=f"^{sys.executable}: has no package rko-lio, which rko-lio needs$"):
         interpreter_of("rko-lio", sys.executable)
     assert interpreter_of("own_slam:Own", sys.executable) == sys.executable
-    assert interpreter_of("hector") is None

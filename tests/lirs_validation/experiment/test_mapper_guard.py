@@ -49,8 +49,6 @@ def use(mapper: LocalMapper, observations: list[Observation]) -> None:
     [
         ("Exits", r"mapper 'own': update\(\) failed for the scan at 0.160 s: SystemExit$"),
         ("Rages", r"update\(\) failed for the scan at 0.160 s: BaseException: no exception$"),
-        ("Writes", r"update\(\) writes into what it was given .*; what it is given is read-only, change a"),
-        ("Freezes", r"update\(\) writes into what it was given .*; what it is given is read-only, change a"),
         ("ExitsAtTheEnd", r"mapper 'own': map\(\) failed: SystemExit: 0$"),
     ],
 )
@@ -62,16 +60,16 @@ def test_what_no_mapper_may_do_is_its_error(
         use(guarded, observations)
 
 
-def test_what_a_mapper_changes_by_force_is_its_own_copy(observations: list[Observation]) -> None:
+def test_what_a_mapper_changes_by_force_is_its_own_copy(here: Path, observations: list[Observation]) -> None:
     """`scan.ranges[:] = 1.0` earned a better F1 than dead reckoning: the judge read the same arrays."""
-    forced = LocalMapper(own_mappers.Forces(), "own")
-    for observation in observations:
-        kept = deepcopy(observation)
-        forced.observe(observation)
-        assert np.array_equal(kept.scan.ranges, observation.scan.ranges)
-        assert (kept.scan.stamp, kept.scan.T_base_laser, kept.odometry, kept.imu) == (
-            observation.scan.stamp, observation.scan.T_base_laser, observation.odometry, observation.imu
-        )  # fmt: skip
+    before = deepcopy(observations)
+    with closing(MapperProcess(RunConfig(source="simple", mapper="own_mappers:Forces"))) as process:
+        for observation in observations:
+            process.observe(observation)
+    for old, new in zip(before, observations, strict=True):
+        assert np.array_equal(old.scan.ranges, new.scan.ranges)
+        assert (old.scan.stamp, old.scan.T_base_laser) == (new.scan.stamp, new.scan.T_base_laser)
+        assert (old.odometry, old.imu) == (new.odometry, new.imu)
 
 
 def test_a_serial_sweep_goes_on_past_a_mapper_that_exits(here: Path, room: str, plain_pictures: None) -> None:
@@ -137,6 +135,5 @@ def test_ctrl_c_and_our_own_errors_pass_the_guard() -> None:
 def test_the_guard_changes_no_answer() -> None:
     plain, guarded = make_mapper("hector"), LocalMapper(make_mapper("hector"), "hector")
     assert plain.update(SCAN, SEEN.odometry, SEEN.imu) == guarded.observe(SEEN).pose
-    assert SCAN.ranges.flags.writeable
     assert guarded.stats.received == 1
     assert np.array_equal(plain.map().log_odds, guarded.map().log_odds, equal_nan=True)

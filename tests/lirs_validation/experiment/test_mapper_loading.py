@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from lirs_validation import validate
-from lirs_validation.experiment.loading import RESOLUTION, mapper_named, own_source_file
-from lirs_validation.experiment.mapper_under_test import LocalMapper, check_pose
+from lirs_validation.experiment.loading import RESOLUTION, own_source_file
+from lirs_validation.experiment.mapper_under_test import LocalMapper, SensorReadings, mapper_named
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2, Trajectory
+from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
 
 OWN = "module:name of your own"
@@ -105,6 +106,9 @@ def test_what_a_mapper_hands_over_is_looked_at() -> None:
     class Wrong:
         stats: object = {}
 
+        def update(self, scan: object, odometry: object, imu: object) -> object:
+            return (0, 0, 0)
+
         def map(self) -> object:
             return np.zeros((3, 3))
 
@@ -119,7 +123,7 @@ def test_what_a_mapper_hands_over_is_looked_at() -> None:
     with pytest.raises(MapperError, match=r"not finite at 0\.500 s"):
         mapper.trajectory()
     with pytest.raises(MapperError, match="Pose2, got tuple"):
-        check_pose((0, 0, 0), Pose2, 0.0)
+        mapper.observe(SensorReadings(LaserScan(np.ones(3, np.float32), 0.0, 0.1, 0.1, 9.0, 0.0)))
 
 
 def test_the_documented_mapper_maps(room: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

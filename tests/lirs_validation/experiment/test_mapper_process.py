@@ -18,12 +18,13 @@ import pytest
 
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, validate
-from lirs_validation.experiment.loading import mapper_named, own_source_file
+from lirs_validation.experiment.loading import own_source_file
 from lirs_validation.experiment.mapper_under_test import (
     LocalMapper,
     MapperProcess,
     MapperUnderTest,
     SensorReadings,
+    mapper_named,
 )
 from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.geometry.pose import Pose2, Pose3

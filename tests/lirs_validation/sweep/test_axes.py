@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from lirs_validation.config import EngineOptions, RunConfig
-from lirs_validation.sweep.engines import Processes, RayCluster, make_executor
+from lirs_validation.sweep.engines import Processes, RayCluster
 from lirs_validation.sweep.sweep import Serial
-from lirs_validation.sweep.tasks import WALL_LIMIT, CollisionTask, RunTask, cross, make_suite
+from lirs_validation.sweep.tasks import WALL_LIMIT, CollisionTask, RunTask, cross, make_executor, make_suite
 from lirs_wct.errors import ConfigError
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from lirs_extensions.search.case_search import TrialArchive
+from lirs_validation.sweep.engines import WorkerPool
 from lirs_validation.sweep.sweep import Serial, Sweep
-from lirs_validation.sweep.workers import WorkerPool
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.files import remove_leftovers
 from lirs_wct.progress import Progress

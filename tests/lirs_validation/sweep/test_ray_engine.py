@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from lirs_validation.config import EngineOptions
-from lirs_validation.sweep.engines import make_executor, perform_remotely, ray_session
+from lirs_validation.sweep.engines import perform_remotely, ray_session
 from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.tasks import make_executor
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
 
