@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_extensions.search.case_search import Case, CmaProposer, make_proposer, require_cma
-from lirs_extensions.search.falsify import drives as drives_module
+from lirs_extensions.search.falsify import search as search_module
 from lirs_extensions.search.falsify.search import (
     ARCHIVE,
     NEEDED,
@@ -46,7 +46,7 @@ class Synthetic:
 @pytest.fixture
 def measured(monkeypatch: pytest.MonkeyPatch) -> Synthetic:
     synthetic = Synthetic()
-    monkeypatch.setattr(drives_module, "measure", synthetic)
+    monkeypatch.setattr(search_module, "measure", synthetic)
     return synthetic
 
 
@@ -114,7 +114,7 @@ def test_the_limit_of_a_mapper_is_that_of_its_reference(
         error = 0.4 if method == "hector" else other
         return DriveScore(error / 0.4, error=error, limit=0.4)
 
-    monkeypatch.setattr(drives_module, "measure", measure)
+    monkeypatch.setattr(search_module, "measure", measure)
     drives = CaseDrives(FalsifyOptions(mapper="hector", reference="gmapping"), LIMITS, tmp_path)
     (score,) = drives.run([(LIMITS.easiest, 1)])
     assert score.counted == drives.fails(score) == counted
@@ -125,7 +125,7 @@ def test_a_failure_of_one_seed_alone_is_no_case(tmp_path: Path, monkeypatch: pyt
     def lucky(options: FalsifyOptions, method: str, case: Case, seed: int, returns: float) -> DriveScore:
         return DriveScore(5.0 if seed == options.seed else 0.5)
 
-    monkeypatch.setattr(drives_module, "measure", lucky)
+    monkeypatch.setattr(search_module, "measure", lucky)
     _, found = search(tmp_path / "out", drives=40)
     assert found == ()
 
