@@ -50,9 +50,6 @@ class ChildProcess:
         patience: seconds that it has to tidy up before it is killed.
         python: path of another interpreter; None = this one.
         options: further arguments of `subprocess.Popen`.
-
-    Raises:
-        OSError: it cannot be started.
     """
 
     def __init__(self, function: str, patience: float, python: str | None = None, **options: Any) -> None:

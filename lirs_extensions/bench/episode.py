@@ -74,9 +74,6 @@ def run_episode(
         data: folder with the files that do not ship.
         progress: Function that receives the share of the time limit.
         picture: called at the end with the map and the path.
-
-    Raises:
-        WctError: the task's world cannot be made, or its start or goal cannot be.
     """
     env = make_task_env(task, data, choice.observe, "map" if picture else None)
     log = EpisodeLog()

@@ -316,11 +316,7 @@ class PolicyChoice:
 
     @property
     def observe(self) -> tuple[str, ...] | None:
-        """Groups of observations that the policy requires; None = the task's own.
-
-        Raises:
-            ConfigError: the module cannot be imported, or `observe` is no list of names.
-        """
+        """Groups of observations that the policy requires; None = the task's own."""
         if self.name in BASELINES:
             return BASELINES[self.name].observe
         names = getattr(self._maker(), "observe", None)
@@ -331,11 +327,7 @@ class PolicyChoice:
         return tuple(names)
 
     def check(self, task: str) -> None:
-        """Check that the policy exists and fits the task.
-
-        Raises:
-            ConfigError: there is no such policy, or it cannot run this task.
-        """
+        """Check that the policy exists and fits the task."""
         if self.name not in BASELINES:
             self._maker()
             return
@@ -352,9 +344,6 @@ class PolicyChoice:
 
         A user's class gets the keywords that its signature names: `context` (see `PolicyContext`),
         `observation_space`, `action_space`, `seed`, and its arguments.
-
-        Raises:
-            ConfigError: it cannot be made, does not take its arguments, or is no policy.
         """
         context = PolicyContext.of(env.episodes.config, task.seed)
         if self.name in BASELINES:

@@ -211,9 +211,6 @@ class BenchTask:
         path_budget: path length that ends a mapping task, meters.
         course: kind of the course to traverse.
         difficulty: Difficulty of the course, 0 to 1.
-
-    Raises:
-        ConfigError: a value is not legal, or the task lacks one.
     """
 
     name: str
@@ -290,11 +287,7 @@ class TaskSet:
     tasks: tuple[BenchTask, ...]
 
     def chosen(self, task: str, split: str) -> tuple[BenchTask, ...]:
-        """Return the tasks of one kind and split, `all` = of every split.
-
-        Raises:
-            ConfigError: there is no such task or split, or none of these in the set.
-        """
+        """Return the tasks of one kind and split, `all` = of every split."""
         if task not in TASKS:
             raise unknown_name("task", task, TASKS)
         if split not in (*SPLITS, "all"):
@@ -310,23 +303,14 @@ class TaskSet:
 
 
 def check_name(name: object, of: str) -> None:
-    """Check a name that folder names contain.
-
-    Raises:
-        ConfigError: it holds other characters than letters, digits and `_.-`, or more than 100.
-    """
+    """Check a name that folder names contain."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         shown = f"{name[:50]!r} ..." if isinstance(name, str) and len(name) > 100 else repr(name)
         raise ConfigError(f"the name of a {of} must be 1 to 100 letters, digits and _.-, got {shown}")
 
 
 def task_set(name: str) -> TaskSet:
-    """Return a set by its name, or of a JSON file.
-
-    Raises:
-        ConfigError: there is no such set.
-        SourceError: the file cannot be read or is no set of tasks.
-    """
+    """Return a set by its name, or of a JSON file."""
     if name in SETS:
         return _read_shipped_set(name)
     if not name.endswith(".json"):

@@ -54,11 +54,7 @@ ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 
 
 class DdsNode:
-    """Publishers and subscriptions of our node in a domain (see `Middleware`).
-
-    Raises:
-        ConfigError: domain or host cannot be used.
-    """
+    """Publishers and subscriptions of our node in a domain (see `Middleware`)."""
 
     def __init__(self, options: LiveOptions, topics: tuple[LiveTopic, ...]) -> None:
         self._ros, self._warned = options.ros, set[str]()

@@ -219,11 +219,7 @@ class Middleware(Protocol):
 
 
 def own_address(host: str | None) -> str:
-    """Return the IPv4 address of one of this machine's interfaces; None = loopback.
-
-    Raises:
-        ConfigError: the host is no address of this machine.
-    """
+    """Return the IPv4 address of one of this machine's interfaces; None = loopback."""
     if host is None:
         return LOOPBACK
     try:

@@ -17,11 +17,7 @@ MOST_DOMAIN = 232
 @documented
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions(Options):
-    """Connection of a live drive to its client.
-
-    Raises:
-        ConfigError: a value is not legal, or two options contradict.
-    """
+    """Connection of a live drive to its client."""
 
     middleware: Literal["dds", "zenoh"] = option("dds", "Middleware of the client.", panel=LIVE)
     domain: int = option(0, "ROS_DOMAIN_ID of the client.", panel=LIVE, check=within(f"[0, {MOST_DOMAIN}]"))

@@ -65,9 +65,6 @@ def live(
         out: folder that receives the runs' folders; None = nothing is written.
         progress: Function that receives step and share.
         announce: shows a line about the connection.
-
-    Raises:
-        WctError: the source or an option cannot be used, no client came, or results cannot be written.
     """
     robot = make_robot(config.robot)
     _check(config, options)

@@ -35,9 +35,6 @@ class ZenohNode:
 
     Attributes:
         role: `router`, or `client` of a running router.
-
-    Raises:
-        ConfigError: the host's port can neither be opened nor reached.
     """
 
     def __init__(self, options: LiveOptions, topics: tuple[LiveTopic, ...]) -> None:

@@ -73,11 +73,7 @@ class SearchParameter:
         return replace(self, low=low, high=high, default=min(max(self.default, low), high))
 
     def read_within(self, path: Path, given: object, legal: tuple[float, float]) -> SearchParameter:
-        """Return the parameter with given limits, `[low, high]` or one value.
-
-        Raises:
-            ConfigError: they are not legal; the message begins with the path.
-        """
+        """Return the parameter with given limits, `[low, high]` or one value."""
         pair = given if isinstance(given, list) else [given, given]
         low, high = legal
         numbers = [
@@ -185,11 +181,7 @@ class RandomProposer:
 
 
 class CmaProposer:
-    """CMA-ES with restarts.
-
-    Raises:
-        ConfigError: the package `cma` is not installed.
-    """
+    """CMA-ES with restarts."""
 
     def __init__(self, limits: SearchSpace, rng: np.random.Generator) -> None:
         require_cma()
@@ -230,11 +222,7 @@ class CmaProposer:
 
 
 def make_proposer(kind: str, limits: SearchSpace, rng: np.random.Generator) -> CaseSource:
-    """Return the source of cases of a search.
-
-    Raises:
-        ConfigError: the package `cma` is not installed, or no parameter is free.
-    """
+    """Return the source of cases of a search."""
     limits.require_free()
     if kind == "random" or len(limits.free) < MIN_PARAMETERS:
         return RandomProposer(limits, rng)
@@ -351,11 +339,7 @@ class TrialArchive(Generic[Score]):
     def scores(
         self, measure: Callable[..., Score], trials: Sequence[tuple[str, Arguments]], method: str
     ) -> list[Score]:
-        """Return the scores of trials, given as key and arguments, in their order.
-
-        Raises:
-            WctError: a worker process died, or the file cannot be written.
-        """
+        """Return the scores of trials, given as key and arguments, in their order."""
         pending = {key: arguments for key, arguments in trials if key not in self._kept}
         for key, score in zip(pending, self._measure(measure, list(pending.values()), method), strict=True):
             self._kept[key] = score

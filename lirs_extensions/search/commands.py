@@ -106,12 +106,7 @@ def tune(
 def _tune_target(
     source: str, run: dict[str, Any], tuning: TuneOptions, build: BuildOptions
 ) -> RunConfig | MapConfig:
-    """Return the run or the mapping whose mapper is tuned.
-
-    Raises:
-        ConfigError: the options give several runs, or an option does not suit the source.
-        WctError: the source or a name cannot be used.
-    """
+    """Return the run or the mapping whose mapper is tuned."""
     from lirs_validation.sweep.tasks import RunTask, cross
     from lirs_wct.sources.source import SourceKind, find_source
 

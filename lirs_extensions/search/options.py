@@ -42,11 +42,7 @@ class SearchOptions(Options):
 @documented
 @dataclass(frozen=True, kw_only=True)
 class FalsifyOptions(SearchOptions):
-    """Search for the failures of one mapper or policy.
-
-    Raises:
-        ConfigError: a value is not legal, or two options contradict.
-    """
+    """Search for the failures of one mapper or policy."""
 
     mapper: str = option(
         "hector",

@@ -143,12 +143,7 @@ def mean_loss(scores: Sequence[TuneScore]) -> float:
 
 
 def tune(drives: TuneDrives, report: Report = lambda line: None) -> Case:
-    """Return the best set of values, reduced to the parameters that matter.
-
-    Raises:
-        ConfigError: no drive with the defaults counts.
-        WctError: a drive cannot be run.
-    """
+    """Return the best set of values, reduced to the parameters that matter."""
     space, options, seeds = drives.space, drives.options, drives.seeds[0]
     (scores,) = drives.run([space.easiest], seeds)
     usual = best_loss = mean_loss(scores)
@@ -202,11 +197,7 @@ class UnseenComparison:
 
 
 def compare(drives: TuneDrives, tuned: Case) -> UnseenComparison:
-    """Compare tuned values with the defaults on unseen seeds.
-
-    Raises:
-        ConfigError: fewer than 3 of them count.
-    """
+    """Compare tuned values with the defaults on unseen seeds."""
     usual, found = drives.run([drives.space.easiest, tuned], drives.seeds[1])
     pairs = [(a, b) for a, b in zip(usual, found, strict=True) if a.loss is not None and b.loss is not None]
     if len(pairs) < 3:

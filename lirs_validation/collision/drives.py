@@ -182,10 +182,6 @@ def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
     """Return start poses, alternately in the open and next to an obstacle.
 
     Of a world with a start that was asked for, this alone.
-
-    Raises:
-        ConfigError: there is none.
-        SimulationError: the robot cannot stand at the start that was asked for.
     """
     if world.start is not None:
         standing_pose(world, robot, world.start)

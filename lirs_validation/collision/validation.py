@@ -162,9 +162,6 @@ def check_collisions(
     """Evaluate all contacts of a random drive and a slope test.
 
     The robot drives at full speed, then up the steepest ground.
-
-    Raises:
-        ConfigError: an argument is not legal, or the robot can stand nowhere in this world.
     """
     check_fit(world, robot)
     check_seed(seed)
@@ -203,11 +200,7 @@ SCHEMA = 1
 
 
 def write_verdicts(folder: Path, verdicts: Sequence[CollisionVerdict]) -> tuple[Path, Path]:
-    """Write `collisions.json` and `collisions.csv`; return their paths.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
+    """Write `collisions.json` and `collisions.csv`; return their paths."""
     paths = folder / "collisions.json", folder / "collisions.csv"
     write_json(paths[0], {"schema": SCHEMA, "collisions": [verdict.as_dict() for verdict in verdicts]})
     write_csv(paths[1], [asdict(v) | {"passed": v.passed} for v in verdicts], without_rows=("world",))

@@ -40,10 +40,6 @@ def make_driver(
     Tour and waypoints are planned over the true ground; the mapper sees none of it. The explorer is given the
     mapper's map, and nothing of the world but where the robot is set down. The policy that ships is given
     scans, odometry, and the direction to its goal.
-
-    Raises:
-        ConfigError: the robot fits nowhere in this world, or a replay is of another world, robot or lidar.
-        SourceError: waypoints or recorded commands cannot be used.
     """
     kind, argument = _automatic(config)
     if kind == "replay":
@@ -100,13 +96,7 @@ def _policy_driver(world: World, robot: Robot, config: RunConfig, goal: str) -> 
 
 
 def check_driver(config: RunConfig) -> None:
-    """Look at the file that a driver needs before the world is built.
-
-    Raises:
-        ConfigError: a replay is of another robot, a person drove, a goal is no place, or a policy would drive
-            backwards.
-        SourceError: waypoints or recorded commands cannot be read.
-    """
+    """Look at the file that a driver needs before the world is built."""
     kind, argument = _automatic(config)
     if kind == "goal" or (kind == PRETRAINED and argument):
         _goal(config.driver)
@@ -125,11 +115,7 @@ def driver_files(config: RunConfig) -> list[Path]:
 
 
 def start_pose(world: World, robot: Robot, config: RunConfig, free: OccupancyGrid | None = None) -> Pose2:
-    """Return the requested start, or else the seed's spawn pose, world frame.
-
-    Raises:
-        ConfigError: the robot fits nowhere in this world, or cannot drive from the requested start.
-    """
+    """Return the requested start, or else the seed's spawn pose, world frame."""
     free = drivable_ground(world, robot) if free is None else free
     if world.start is None:
         starts = [start for start in world.starts(free) if can_stand(world, robot, start)]
@@ -249,12 +235,7 @@ class ReplayDriver:
 
 
 def replay(folder: Path, config: RunConfig, world: str) -> ReplayDriver:
-    """Return the driver that repeats a run; other mappers and options then drive the same path.
-
-    Raises:
-        SourceError: the folder holds no run, or none whose commands were recorded.
-        ConfigError: the run was one in another world, of another robot, or of a lidar with another period.
-    """
+    """Return the driver that repeats a run; other mappers and options then drive the same path."""
     commands = _read_replay(folder, config.robot)
     named = str(read_record(folder)["world"]["name"])
     if named != world:

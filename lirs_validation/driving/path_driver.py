@@ -49,11 +49,7 @@ def path_weight(free: BoolArray, room: FloatArray) -> FloatArray:
 
 
 def area_round(grid: OccupancyGrid, start: Pose2) -> BoolArray:
-    """Return (rows, cols) the connected free area nearest to a pose.
-
-    Raises:
-        ConfigError: no cell is free.
-    """
+    """Return (rows, cols) the connected free area nearest to a pose."""
     _, labels = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
     if not labels.any():
         raise ConfigError("a tour needs at least one free cell, got a grid without any")

@@ -317,11 +317,7 @@ def check_waypoints(
     robot: str,
     cause: Callable[[tuple[float, float]], str],
 ) -> None:
-    """Check that a robot can stand at every waypoint, and drive to each.
-
-    Raises:
-        SourceError: a waypoint is off the map, where the robot cannot be, or cut off from the first.
-    """
+    """Check that a robot can stand at every waypoint, and drive to each."""
     reached = free
     for number, waypoint in enumerate(waypoints, start=1):
         place = waypoint.x, waypoint.y

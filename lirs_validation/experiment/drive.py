@@ -189,9 +189,6 @@ def drive(
         stand: Simulated seconds of standing before the driver is asked.
         wall_limit: Wall seconds after which the drive is stopped; None = never.
         recorder: Function that receives each mapped scan; its time counts.
-
-    Raises:
-        MapperError: the mapper failed.
     """
     period, tracking, spent = simulation.period, LostRule(), 0.0
     ticks, limit = max(1, math.ceil(seconds / period - 1e-9)), wall_limit or math.inf

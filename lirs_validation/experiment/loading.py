@@ -29,9 +29,6 @@ def own_mapper(name: str, seed: int, options: Mapping[str, Any]) -> Mapper | Clo
     """Create a mapper by `module:name` of a class or function that makes one.
 
     It gets `seed` and `resolution` as keywords where it takes them.
-
-    Raises:
-        ConfigError: it cannot be imported or made, or is no mapper.
     """
     if name.startswith("evalio:"):
         raise unknown_name("mapper", name, [each for each in ALL_CLOUD_MAPPERS if each.startswith("evalio:")])
@@ -50,9 +47,6 @@ def own_class(name: str, what: str, method: str) -> Callable[..., Any]:
         name: `module:name` or `file.py:name`.
         what: Kind of the object that it makes, such as "mapper".
         method: Method of that object; if the name is unknown, the error lists classes with it.
-
-    Raises:
-        ConfigError: the module cannot be imported, or has nothing of that name that can be called.
     """
     module_name, _, attribute = name.rpartition(":")
     module = _module(module_name, f"{what} {name!r}")
@@ -71,9 +65,6 @@ def make_own(name: str, what: str, method: str, offered: Mapping[str, Any], give
     """Make an object of a user's class (see `own_class`).
 
     It gets the given keywords, and those of the offered ones that it takes.
-
-    Raises:
-        ConfigError: there is no such class, it does not take a given keyword, or it raised.
     """
     maker = own_class(name, what, method)
     try:
@@ -167,11 +158,7 @@ PATIENCE = 60.0
 
 
 def interpreter_of(mapper: str, interpreter: str) -> str:
-    """Return the path of the interpreter that runs a mapper.
-
-    Raises:
-        ConfigError: the interpreter cannot run this program, or lacks the mapper's package.
-    """
+    """Return the path of the interpreter that runs a mapper."""
     python = shutil.which(str(Path(interpreter).expanduser()))
     if python is None:
         raise ConfigError(f"{interpreter}: no such program; --mapper-python takes a Python interpreter")

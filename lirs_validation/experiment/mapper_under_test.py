@@ -157,12 +157,7 @@ class MapperUnderTest(Protocol):
     reads_inertial: bool
 
     def observe(self, observation: Observation | SensorReadings) -> Estimate:
-        """Give the mapper an observation; return its estimate.
-
-        Raises:
-            ConfigError: it reads point clouds or all inertial readings, and there are none.
-            MapperError: it fails, or returns no finite pose of its kind.
-        """
+        """Give the mapper an observation; return its estimate."""
 
     def map(self) -> OccupancyGrid:
         """Return the map of a planar mapper."""
@@ -277,10 +272,6 @@ def check_sensors(mapper: MapperUnderTest, config: RunConfig) -> None:
     """Check that a run's lidar and driver suit its mapper.
 
     Any lidar suits a planar mapper: of one with rings it gets the ring nearest the horizon.
-
-    Raises:
-        ConfigError: there is no such lidar, or a mapper of point clouds has a planar one, or a driver that
-            needs an occupancy map.
     """
     # Mapping a log does not load the simulator.
     from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
@@ -307,12 +298,7 @@ def needs_process(mapper: str) -> bool:
 
 
 def start_mapper(config: RunConfig) -> MapperUnderTest:
-    """Return the mapper of a run, in its own process if it is foreign code.
-
-    Raises:
-        ConfigError: the mapper cannot be made.
-        MapperError: the process cannot be started.
-    """
+    """Return the mapper of a run, in its own process if it is foreign code."""
     if needs_process(config.mapper):
         return MapperProcess(config)
     if config.mapper_python is not None:
@@ -322,12 +308,7 @@ def start_mapper(config: RunConfig) -> MapperUnderTest:
 
 
 def mapper_named(name: str, seed: int, parameters: str = "") -> Mapper | CloudMapper:
-    """Create a mapper by its name, or by `module:name` of your own class.
-
-    Raises:
-        ConfigError: nothing has that name, it cannot be imported or made, a package is missing, or
-            it is no mapper.
-    """
+    """Create a mapper by its name, or by `module:name` of your own class."""
     options = read_parameters(parameters)
     if name in MAPPERS:
         return make_mapper(name, seed=seed, **options)

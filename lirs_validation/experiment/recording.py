@@ -88,9 +88,6 @@ def recording(config: RunConfig, out: Path, period: float) -> Iterator[Recording
         config: Run configuration with a bag.
         out: Folder that is to receive the run's folder.
         period: Time from scan to scan, seconds.
-
-    Raises:
-        OutputError: the bag cannot be written.
     """
     from lirs_wct.formats.rosbag.writer import BagWriter
 

@@ -214,11 +214,7 @@ class ReadyRun:
 def prepare(
     config: RunConfig, progress: Progress = no_progress, scenarios: ScenarioCache | None = None
 ) -> ReadyRun:
-    """Make a run's mapper, world, driver and simulation, and compile.
-
-    Raises:
-        WctError: the source, a name or an option cannot be used.
-    """
+    """Make a run's mapper, world, driver and simulation, and compile."""
     robot = make_robot(config.robot)
     with ExitStack() as on_failure:
         mapper = start_mapper(config)
@@ -297,9 +293,6 @@ def conclude(
     """Evaluate a drive that has ended, and write its folder (see `run`).
 
     `cost` holds `cpu_seconds` and `peak_memory` of the drive, `recorder` its bag.
-
-    Raises:
-        SimulationError: not a single scan was driven.
     """
     scenario, mapper = ready.scenario, ready.mapper
     if not log.tick_seconds:

@@ -63,11 +63,7 @@ class Outcome:
 
 
 def outcome_of(error: BaseException, task: str) -> Outcome:
-    """Return the outcome of a task that raised.
-
-    Raises:
-        KeyboardInterrupt: the error is a Ctrl-C that a compiled kernel wrapped.
-    """
+    """Return the outcome of a task that raised."""
     if is_interrupt(error):
         raise KeyboardInterrupt from error
     ours = isinstance(error, WctError)
@@ -103,11 +99,7 @@ class SweepTask(ABC):
 
     @abstractmethod
     def check(self) -> None:
-        """Check everything that can be checked before the world is built.
-
-        Raises:
-            WctError: the task cannot be run as it was asked for.
-        """
+        """Check everything that can be checked before the world is built."""
 
     @abstractmethod
     def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
@@ -136,11 +128,7 @@ class SweepTask(ABC):
     def attempt(
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
-        """Run the task. All exceptions, also `SystemExit`, become outcomes.
-
-        Raises:
-            KeyboardInterrupt: the user or the parent process ends this process.
-        """
+        """Run the task. All exceptions, also `SystemExit`, become outcomes."""
         try:
             return self.run(out, scenarios, progress, concurrent=concurrent)
         except KeyboardInterrupt:
@@ -168,11 +156,7 @@ class SweepTask(ABC):
 
 
 def read_status(path: Path) -> dict[str, Any]:
-    """Read a JSON file with the `status`, the `reason` and the `versions` of a task.
-
-    Raises:
-        SourceError: it is missing or damaged.
-    """
+    """Read a JSON file with the `status`, the `reason` and the `versions` of a task."""
     try:
         entry: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         legal = entry["status"] in get_args(Status) and isinstance(entry["reason"], str)
@@ -234,9 +218,6 @@ class Sweep:
         outcomes: Outcome of each finished task, by name.
         kept: Number of tasks with a result from before.
         unwritten: Reasons of the tasks whose results could not be written, by name.
-
-    Raises:
-        WctError: one of several tasks cannot be run as it was asked for; nothing has been run then.
     """
 
     def __init__(

@@ -145,11 +145,7 @@ def _check_names(config: RunConfig) -> None:
 
 
 def world_name(config: RunConfig) -> str:
-    """Return the name that a config's world will have.
-
-    Raises:
-        SourceError: there is no such source.
-    """
+    """Return the name that a config's world will have."""
     source = find_source(config.source, config.build)
     if source.kind is not SourceKind.FOLDER or config.build.name is not None:
         return source.name
@@ -307,11 +303,7 @@ SUITES: Mapping[str, Callable[..., tuple[SweepTask, ...]]] = {"paper": make_pape
 
 
 def make_suite(name: str, **options: Any) -> tuple[SweepTask, ...]:
-    """Return the tasks of a suite (see `make_paper_suite`).
-
-    Raises:
-        ConfigError: there is no such suite, or an option is not legal.
-    """
+    """Return the tasks of a suite (see `make_paper_suite`)."""
     if name not in SUITES:
         raise unknown_name("suite", name, SUITES)
     return SUITES[name](**options)
@@ -361,11 +353,7 @@ def suite_folders(path: Path) -> tuple[str, ...]:
 
 
 def read_yaml_fields(path: Path) -> Mapping[str, Any]:
-    """Return the names and values of a YAML file.
-
-    Raises:
-        SourceError: it cannot be read, or holds anything else or nothing; the message begins with its path.
-    """
+    """Return the names and values of a YAML file."""
     try:
         entry = load_yaml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

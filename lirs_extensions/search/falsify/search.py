@@ -385,11 +385,7 @@ Report = Callable[[str], None]
 
 
 def falsify(drives: CaseDrives, report: Report = lambda line: None) -> tuple[FoundCase, ...]:
-    """Search for failures until the drives are used or enough cases are found.
-
-    Raises:
-        WctError: a drive cannot be run, or its score not be written.
-    """
+    """Search for failures until the drives are used or enough cases are found."""
     options, limits = drives.options, drives.limits
     found: list[FoundCase] = []
     shrinking = 0

@@ -158,9 +158,6 @@ def fit_noise(real: LogComparison, start: FloatArray, seed: int) -> FittedNoise:
 
     The log is simulated in its own map, and mapped, localized and compared as the real one. The width that
     remains without noise is the map's; the noise has the rest. Each round simulates with the noise so far.
-
-    Raises:
-        SourceError: too few beams can be compared.
     """
     sample = Sample.of(real)
     if len(sample.residual) < MIN_RESIDUALS or not np.isfinite(sample.widths(sample.blocks)).any():

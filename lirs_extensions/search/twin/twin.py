@@ -82,9 +82,6 @@ def run_twin(
         draws: Number of simulated logs of the replay.
         command: Command line, for the page.
         progress: Function that receives step and share.
-
-    Raises:
-        WctError: the log cannot be used or mapped, or the result cannot be written.
     """
     make_lidar_preset(lidar)
     check_writable(out)
