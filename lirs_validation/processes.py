@@ -41,15 +41,10 @@ CALLBACK, LATER = "_raw_object_cache", 0.05
 class ChildProcess:
     """Process that serves a pipe, protected from Ctrl-C; it ends with this object.
 
-    Attributes:
-        pipe: connection to the process.
-        process: the process.
-
     Args:
         function: `module:name`; called in the process with its end of the pipe.
         patience: seconds that it has to tidy up before it is killed.
         python: path of another interpreter; None = this one.
-        options: further arguments of `subprocess.Popen`.
     """
 
     def __init__(self, function: str, patience: float, python: str | None = None, **options: Any) -> None:
@@ -99,13 +94,7 @@ def _end(process: subprocess.Popen[bytes], pipe: Connection, patience: float) ->
 
 
 def serve(function: str, handle: int, parent: int) -> None:
-    """Call a function with a pipe until it closes or the parent ends this process.
-
-    Args:
-        function: `module:name`.
-        handle: handle of this process's end of the pipe.
-        parent: process id.
-    """
+    """Call a function with a pipe until it closes or the parent ends this process."""
     with suppress(KeyboardInterrupt, EOFError, OSError):
         end_with(parent)
         module, _, name = function.partition(":")
@@ -133,9 +122,6 @@ def end_with(parent: int) -> None:
     """End this process on SIGTERM, as by Ctrl-C, and when its parent was killed.
 
     The parent handles Ctrl-C itself.
-
-    Args:
-        parent: process id; even a mapper that hangs does not outlive it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _interrupt)  # a mapper's own `sys.exit` ends nothing but its run

@@ -69,10 +69,7 @@ def run_episode(
     """Run a policy on a task. A policy's error ends the episode and is logged.
 
     Args:
-        task: task of the episode.
-        choice: the policy.
         data: folder with the files that do not ship.
-        progress: Function that receives the share of the time limit.
         picture: called at the end with the map and the path.
     """
     env = make_task_env(task, data, choice.observe, "map" if picture else None)
@@ -162,10 +159,6 @@ class EpisodeTask(SweepTask):
     """A policy on a task.
 
     Attributes:
-        set_name: name of the task's set.
-        set_version: version of that set.
-        task: task of the episode.
-        policy: policy that is scored.
         data: folder with the files that do not ship.
         pictures: whether a picture of the map with the path is written.
     """

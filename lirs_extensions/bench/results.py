@@ -31,10 +31,8 @@ class PolicyScore:
     """A mean over tasks.
 
     Attributes:
-        mean: Mean of the tasks' scores.
         low: lower end of its 95 % interval, by the percentile bootstrap over tasks; None of one task.
         high: upper end.
-        count: number of tasks.
     """
 
     mean: float
@@ -68,7 +66,6 @@ class PolicyResult:
     """A policy over the chosen tasks.
 
     Attributes:
-        policy: policy that was scored.
         score: score over its tasks.
         episodes: records by the task's name.
     """

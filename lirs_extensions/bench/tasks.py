@@ -62,7 +62,6 @@ class WorldSpec:
     Attributes:
         name: name in its set.
         maker: one of `MAKERS`, or `files`.
-        options: names and values of the maker's options.
         files: external input files, the source first.
     """
 
@@ -202,7 +201,6 @@ class BenchTask:
         name: unique in its set.
         task: `navigation`, `mapping` or `traverse`.
         split: `train`, `validation` or `test`; worlds of one split are in no other.
-        robot: name.
         seed: Seed of the episode, and of a course to traverse.
         time_limit: seconds.
         world: world of the episode; None = on a course.
@@ -277,9 +275,7 @@ class TaskSet:
     """Tasks that belong together.
 
     Attributes:
-        name: Name of the set.
         version: raised whenever a task or the environment changes; scores of two versions are not compared.
-        tasks: all of them.
     """
 
     name: str

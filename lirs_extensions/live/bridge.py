@@ -52,7 +52,6 @@ class Bridge:
     commands alone, not on its speed. Otherwise scans are published at the rate of the clock.
 
     Attributes:
-        client: state of the client.
         published: scans so far.
         expected: scans of those that need an answer.
         answered: scans answered before the next one was published.
@@ -83,7 +82,6 @@ class Bridge:
         """Publish a scan's messages and take in the client's; with lockstep, wait for its answer.
 
         Args:
-            observation: Sensor readings.
             estimate: `T_map_base` of our mapper; None = the client publishes map -> odom.
         """
         stamp = observation.scan.stamp
@@ -290,11 +288,8 @@ class Client:
         start: pose of a requested new start in the client's map frame; None = no new pose was requested.
         reset: whether a new start was requested.
         ended: whether the user ended the drive.
-        messages: number of messages received.
 
     Args:
-        options: distribution, answers, and how often an answer is expected.
-        robot: Robot with its speed limits.
         period: from scan to scan, seconds.
         T_map_start: start pose in the client's map frame; the odometry begins there.
     """

@@ -111,8 +111,6 @@ def discovery_message(
 
     Args:
         participant: GUID of the participant, 16 bytes.
-        readers: GUIDs of readers.
-        writers: GUIDs of writers.
         distribution: Humble's identifiers have 24 bytes, later ones 16.
     """
     store = typestore(distribution)
@@ -147,8 +145,6 @@ def zenoh_token(
     Args:
         zid: identifier of the Zenoh session.
         entity: number of the entity in the session.
-        domain: ROS domain.
-        distribution: ROS distribution.
         topic: Topic of the endpoint; None = the node.
         kind: `NN` node, `MP` publisher, `MS` subscription.
     """

@@ -61,9 +61,7 @@ def live(
     Args:
         config: Configuration of the run, with the mapper `client` or one of ours, and the driver `client` for
             /cmd_vel or one of ours.
-        options: connection and pace.
         out: folder that receives the runs' folders; None = nothing is written.
-        progress: Function that receives step and share.
         announce: shows a line about the connection.
     """
     robot = make_robot(config.robot)
@@ -88,10 +86,7 @@ class _Session:
     """Drives of one client, one after the other.
 
     Attributes:
-        scenario: World and options of the drives.
         simulation: Robot in its world, for all drives.
-        middleware: Connection to the client.
-        options: Options of the connection.
         first: Start pose of the first drive, world frame; the client's map frame begins there.
         compile_seconds: Wall seconds that the compiler took.
     """

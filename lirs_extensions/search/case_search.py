@@ -240,8 +240,6 @@ def shrink(case: Case, limits: SearchSpace, fails: Fails) -> tuple[Case, ...]:
     In the last case, no single parameter can be reset without its passing.
 
     Args:
-        case: Failing case.
-        limits: Parameters and their defaults.
         fails: Function that tells whether a case fails; called once for each case.
     """
     known: dict[tuple[float, ...], bool] = {_key(case): True}

@@ -175,12 +175,10 @@ class UnseenComparison:
     """Tuned values and defaults on the unseen seeds on which both count.
 
     Attributes:
-        pairs: Number of seeds.
         error: Median path error of the defaults and of the tuned values, meters.
         works: Number of seeds that work, of the defaults and of the tuned values.
         ratio: Geometric mean of tuned over default scores.
         low: Lower end of its 95 % interval (bootstrap of the paired differences).
-        high: Upper end.
     """
 
     pairs: int
@@ -390,9 +388,6 @@ class Tunable(NamedTuple):
     """One parameter that a search may change.
 
     Attributes:
-        name: Field of the configuration.
-        low: Smallest plausible value.
-        high: Largest plausible value.
         log: Whether equal steps multiply the value.
         ros: Name of the ROS parameter or path in Cartographer's Lua tables; empty = as `name`.
     """

@@ -77,11 +77,7 @@ class CollisionVerdict:
     """Result of the collision validation of a robot in a world.
 
     Attributes:
-        world: Name of the world.
-        robot: Name of the robot.
-        terrain: Contact geometry of the ground.
         seconds: Simulated time driven.
-        seed: Seed of the random drive.
         driven: Distance in all legs, meters.
         legs: Number of times that the robot was set down.
         tip_overs: Number of legs that ended with the robot lying.

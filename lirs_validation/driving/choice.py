@@ -275,8 +275,6 @@ class PolicyDriver:
 
     Args:
         policy: Policy that reads the observations `scan`, `goal` and `odometry`.
-        robot: Robot with its limits.
-        start: Start pose of the robot, world frame.
         goals: (n, 2) places in their order, world frame, meters; at least one.
         factors: Factors of the policy's speed and turn rate.
     """

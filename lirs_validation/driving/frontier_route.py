@@ -94,7 +94,6 @@ def exploration_map(
     """Prepare a mapper's map for planning.
 
     Args:
-        mapped: the mapper's map.
         stood: (n, 2) places where the robot was: its footprint there is free, whatever its lidar missed.
         blocked: (m, 3) x, y and radius of places where it did not get on.
         footprint: radius of the robot, which never leaves the known ground, meters.

@@ -94,15 +94,11 @@ class TourRoute:
     """Tours that cover the free ground for a time.
 
     Attributes:
-        ground: Free ground to cover.
         radius: Distance within which a cell is covered, meters.
 
     Args:
         free: Free cells = where the robot's center may be, world frame.
         start: Any pose; only cells reachable from there count.
-        rng: Random numbers that choose among goals.
-        seconds: Time that the tours last.
-        config: Speeds of the driver.
         surface: The ground, for slower driving where it is steep.
     """
 
@@ -155,7 +151,6 @@ class TourRoute:
         """Return points (n, 2), 0.1 m apart, of a free path from the free cell nearest to a pose.
 
         Args:
-            start: Pose of the robot.
             length: Meters before smoothing, about.
             straight: Meters straight ahead at the beginning, or as many as are free.
         """
@@ -256,7 +251,6 @@ class WaypointRoute:
     Args:
         waypoints: Waypoints still to come, world frame.
         free: Grid whose free cells are places for the robot's center, world frame.
-        config: Parameters of the driver.
         surface: Heights of the ground, for slower driving where it is steep.
     """
 

@@ -155,7 +155,6 @@ class Driver(Protocol):
         Args:
             pose: Pose of the robot, in the driver's frame.
             time: Seconds since the robot began to drive.
-            scan: Latest scan.
             odometry: `T_odom_base` at the scan.
         """
 
@@ -182,9 +181,6 @@ def drive(
 
     Args:
         simulation: Robot in its world, which is reset to the driver's start.
-        driver: Source of the commands.
-        mapper: Mapper, closed by its maker.
-        log: Empty log of the drive.
         seconds: Simulated time of the drive, standing included.
         stand: Simulated seconds of standing before the driver is asked.
         wall_limit: Wall seconds after which the drive is stopped; None = never.
@@ -317,7 +313,6 @@ class DriveLog:
         spatial: Whether the mapper estimates poses in space.
         scans: Scans alone, without their clouds.
         odometry: `T_odom_base` of each scan.
-        imu: Inertial reading of each scan.
         clouds: Sample of the clouds, of a mapper that reads them.
         walker_beams: Masks of each scan's beams that met a walker; empty without walkers.
         truth: `T_world_base`, from the simulator.
@@ -327,7 +322,6 @@ class DriveLog:
         tick_seconds: Wall-clock seconds of each tick.
         mapper_seconds: Wall-clock seconds of the mapper's updates.
         status: Status at the drive's end; `reason` explains it.
-        over: Whether the drive has ended.
         concurrent: Whether other runs shared the processor.
         load: Load average of the system at the drive's end; None without a count.
     """

@@ -40,7 +40,6 @@ class Maps:
     Attributes:
         built: Map of the mapper, moved by the true start pose; None for a mapper of point clouds.
         true_pose: Map made at the true poses.
-        scores: Metrics of the comparison.
         alignment: Alignment of the mapper's trajectory; None where there is none.
         elevation: Elevation maps of point clouds; None for planar mappers, and in worlds with overhangs.
     """

@@ -44,7 +44,6 @@ def own_class(name: str, what: str, method: str) -> Callable[..., Any]:
     A module is looked for in the current folder too, which is on `sys.path` only while it is imported.
 
     Args:
-        name: `module:name` or `file.py:name`.
         what: Kind of the object that it makes, such as "mapper".
         method: Method of that object; if the name is unknown, the error lists classes with it.
     """

@@ -145,9 +145,6 @@ class MapperUnderTest(Protocol):
     """Interface of a mapper of a run or a log.
 
     Attributes:
-        name: Name in messages.
-        reads_clouds: Whether it reads point clouds.
-        requires_odometry: Whether it needs odometry.
         reads_inertial: Whether it takes all inertial readings.
     """
 
@@ -333,11 +330,7 @@ def package_versions(mapper: str, interpreter: str | None = None) -> dict[str, s
 
 
 class MapperProcess:
-    """A mapper in another process, which ends with this object (see `MapperUnderTest`).
-
-    Args:
-        config: Mapper, seed and attitude of a run or of a log's map.
-    """
+    """A mapper in another process, which ends with this object (see `MapperUnderTest`)."""
 
     def __init__(self, config: RunConfig | MapConfig) -> None:
         self.name = config.mapper

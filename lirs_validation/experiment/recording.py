@@ -25,8 +25,6 @@ class Recording:
     """The bag of a drive.
 
     Args:
-        writer: Writer of the bag.
-        folder: Folder of the writer's files.
         slam: Whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
     """
 
@@ -85,7 +83,6 @@ def recording(config: RunConfig, out: Path, period: float) -> Iterator[Recording
     """Record a drive's bag of the config's storage; its files are deleted unless they were moved.
 
     Args:
-        config: Run configuration with a bag.
         out: Folder that is to receive the run's folder.
         period: Time from scan to scan, seconds.
     """

@@ -143,9 +143,7 @@ def run(
     """Run a config (see `validate`).
 
     Args:
-        config: run configuration.
         out: folder that receives the run's folder; None = nothing is written.
-        progress: function that receives step and share.
         scenarios: worlds that were built before.
         concurrent: whether the sweep runs others at the same time.
         name: name of the run's folder; None = the record's.
@@ -180,10 +178,6 @@ class ReadyRun:
     """Everything that a drive needs, its kernels compiled.
 
     Attributes:
-        scenario: Config and its world.
-        simulation: Robot in its world.
-        driver: Source of the commands.
-        mapper: Mapper under test.
         seconds: Simulated time of the drive, standing included.
         compile_seconds: Wall seconds that the compiler took.
         stand: Simulated seconds of standing before it drives.

@@ -52,13 +52,7 @@ LONGEST_WAIT = 3600.0
 
 @dataclass(frozen=True)
 class Failure:
-    """End of a job whose process died or exceeded its time.
-
-    Attributes:
-        status: Status of a run that ended so.
-        reason: Cause in one line.
-        trace: Traceback of the process, as far as there is one.
-    """
+    """End of a job whose process died or exceeded its time."""
 
     status: Literal["error", "timeout"]
     reason: str
@@ -69,7 +63,6 @@ class WorkerPool:
     """Processes for the jobs of one caller; a `with` block ends them.
 
     Args:
-        size: Number of processes at a time.
         seconds: Wall-clock time of a job; None = no limit.
     """
 
@@ -153,9 +146,6 @@ class _Worker(ChildProcess):
 
     It sends `("begun",)`, then `("progress", step, share)` any number of times, then `("done", result)` or
     `("raised", error)`.
-
-    Attributes:
-        job: number of the present job.
     """
 
     def __init__(self, traces: Path, seconds: float | None) -> None:
@@ -238,8 +228,6 @@ class Processes:
     Attributes:
         jobs: Number of concurrent runs; with one, real-time factors are valid as in `Serial`.
         seconds: Wall-clock time of a whole task; None = no limit.
-        scenario: Scenario that is already built.
-        concurrent: Whether other engines run at the same time.
     """
 
     jobs: int

@@ -39,8 +39,6 @@ class Outcome:
     """Outcome of a task; small enough to keep thousands of them.
 
     Attributes:
-        task: Name of the task.
-        status: Status of its record.
         reason: Cause of the status in one line.
         trace: Traceback of the failure; empty without a failure.
         bad_input: Whether the user's input cannot be used.
@@ -172,11 +170,8 @@ class Manifest:
     """Content of `sweep.json`: the requested tasks.
 
     Attributes:
-        command: Command line.
         suite: Name of the suite; None = the tasks were given one by one.
         cells: Name, world, config and the suite's tables of each task.
-        versions: Versions of the software.
-        machine: Properties of the machine.
     """
 
     command: str = ""
@@ -209,10 +204,7 @@ class Sweep:
 
     Args:
         tasks: Tasks to run; of several with one name, the last.
-        out: Folder for the tasks' folders and `sweep.json`.
         manifest: Content of `sweep.json` except the tasks.
-        listed: Whether `sweep.json` is written.
-        retry_failed: Whether to run tasks again that failed before.
 
     Attributes:
         outcomes: Outcome of each finished task, by name.

@@ -43,7 +43,6 @@ class RunTask(SweepTask):
     """One validation run of a sweep.
 
     Attributes:
-        config: Configuration of the run.
         tables: Tables of the suite that its metrics belong to; empty outside suites.
         folder: Name of its folder; None = the run's unique name.
         brief: Whether to omit the replay of the physics and the overview picture.
@@ -167,9 +166,6 @@ class CollisionTask(SweepTask):
     """The collision validation of a robot in a world.
 
     Attributes:
-        source: Source of the world.
-        robot: Name of the robot.
-        terrain: Contact geometry.
         seconds: Simulated time of the random drive.
         seed: Seed of the random drive.
     """

@@ -278,7 +278,6 @@ def fit_odometry(
         stamps: (n,) seconds.
         control: (n, 3) matched poses of a simulation whose truth is `poses`; their errors are subtracted.
         scale_length: correlation length of the scale error, meters.
-        seed: Seed of the bootstrap.
 
     Returns:
         None if the path has too few segments.

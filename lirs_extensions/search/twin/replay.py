@@ -182,7 +182,6 @@ def place_log(mapped: MappedLog, usual: Sequence[int], real: LogComparison) -> T
     """Match all scans of a log to the map of all blocks, and cast their rays there.
 
     Args:
-        mapped: the log and its path.
         usual: scans with the usual number of beams.
         real: comparison of the log, with the poses that make the map.
     """
@@ -248,12 +247,8 @@ def replay_log(
 
     Args:
         config: Configuration of the log's mapping; simulations have the seeds from its seed on.
-        path: Path of the log in its map.
-        noise: fitted noise of lidar, wheels and gyro.
-        names: Names of the mappers.
         draws: count of simulated logs with different random numbers; a mapper's error is the median.
         folder: receives the simulated logs, and their true path.
-        progress: Function that receives step and share.
     """
     drive_files.write_tum(folder / "truth.tum", path.truth)
     paths = [folder / f"simulated-{config.seed + k}.clf.gz" for k in range(draws)]

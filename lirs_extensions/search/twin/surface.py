@@ -214,7 +214,6 @@ def align(surfaces: Any, ranges: Any, angles: Any, start: Any, width: float, pos
     """Fill `poses` (n, 3) with the scans' poses by point-to-line matching.
 
     Args:
-        surfaces: lines of the map.
         ranges: (n, beams) meters.
         angles: (beams,) radians.
         start: (n, 3) first poses.
@@ -382,10 +381,7 @@ def simulate_scans(real: LogComparison, start: FloatArray, noise: LidarNoise, se
     """Return the scans that a lidar with `noise` measures at the matched poses.
 
     Args:
-        real: comparison of the log.
         start: (n, 3) first poses, from which the matching begins as it did for the log.
-        noise: Noise of the simulated lidar.
-        seed: Seed of the noise.
     """
     drawn = noisy_ranges(real.beams.ranges, real.scans.range_max, noise, seed)
     return replace(real.scans, ranges=drawn.astype(np.float64), poses=start)

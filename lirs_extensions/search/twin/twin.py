@@ -75,13 +75,7 @@ def run_twin(
 
     Args:
         config: Configuration of the mapping; its relations or its reference are the truth of a replay.
-        lidar: Name of the preset whose data sheet the log is compared with.
         seed: Seed of the simulated noise and the bootstrap.
-        out: Folder that receives the result's folder.
-        replayed: Mappers of the replay.
-        draws: Number of simulated logs of the replay.
-        command: Command line, for the page.
-        progress: Function that receives step and share.
     """
     make_lidar_preset(lidar)
     check_writable(out)
@@ -179,10 +173,7 @@ class TwinResult:
     """Result of a twin test.
 
     Attributes:
-        name: Name of the log's folder.
-        lidar: Preset whose data sheet the log is compared with.
         real: Comparison of the log's odd blocks with the map of its even blocks.
-        fitted: Noise of the lidar.
         distance_before: Kolmogorov distance of a simulation with the data sheet's noise.
         odometry: Errors of the odometry; None where the log has none, or is too short.
         standstill: Median deviation of a beam while the robot stands, meters; None = it never does.
