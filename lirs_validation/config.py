@@ -108,19 +108,15 @@ def _known_noise(value: str, label: str) -> None:
         raise unknown_name(label, value, [*NOISE_LEVELS, "FILE.yaml"])
 
 
+def axis(default: Any, text: str, metavar: str | None = None, **options: Any) -> Any:
+    """Declare an option that a sweep crosses."""
+    return option(default, text, metavar=metavar, axis=True, panel=AXES, **options)
+
+
 def drive_factor(default: float, text: str, legal: str, shown: str) -> Any:
     """Declare a number that changes how a driver drives; searches set it."""
-    return option(
-        default,
-        text,
-        axis=True,
-        metavar="X,X,...",
-        panel=AXES,
-        check=within(legal),
-        shown=shown,
-        rare=True,
-        on_page=False,
-    )
+    check = within(legal)
+    return axis(default, text, "X,X,...", check=check, shown=shown, rare=True, on_page=False)
 
 
 def names_in(path: str) -> Callable[[], Collection[str]]:
@@ -144,29 +140,18 @@ class RunConfig(Options):
     """
 
     source: str
-    robot: str = option(
-        "husky",
-        "Robots.",
-        axis=True,
-        metavar="R,R,...",
-        panel=AXES,
-        names=names_in("lirs_envs.robots.robot:ROBOTS"),
-    )
-    mapper: str = option(
+    robot: str = axis("husky", "Robots.", metavar="R,R,...", names=names_in("lirs_envs.robots.robot:ROBOTS"))
+    mapper: str = axis(
         "hector",
         "SLAM methods (lirs-wct list mappers); module:Class or file.py:Class for your own.",
-        axis=True,
         metavar="M,M,...",
-        panel=AXES,
         names=tuple(MAPPERS),
     )
-    parameters: str = option(
+    parameters: str = axis(
         "",
         "Parameters of the mapper, fields of its configuration; `none;a=1` compares its defaults with a=1.",
-        axis=True,
         reader=read_parameter_sets,
         metavar="NAME=VALUE,...",
-        panel=AXES,
         check=lambda value, label: read_parameters(value, label) and None,
         on_page=False,
     )
@@ -177,46 +162,36 @@ class RunConfig(Options):
         in_digest=False,
         on_page=False,
     )
-    lidar: str | None = option(
+    lidar: str | None = axis(
         None,
         "Lidars; default: the robot's own.",
-        axis=True,
         metavar="L,L,...",
-        panel=AXES,
         names=names_in("lirs_envs.lidar.presets:LIDARS"),
     )
-    terrain: ContactGeometry = option(
+    terrain: ContactGeometry = axis(
         "hfield",
         "Contact geometry: the height field; the same, and rays meet the mesh; a prism per triangle within "
         "--max-error; the convex parts of a closed mesh, or its faces if they are many.",
-        axis=True,
-        panel=AXES,
     )
-    rays: str = option(
+    rays: str = axis(
         "builtin",
         "Ray caster of the lidar: this package's own, or MuJoCo's for comparison.",
-        axis=True,
         metavar="builtin|mujoco",
-        panel=AXES,
         check=one_of(names_in("lirs_envs.lidar.ray_casting:RAYS")),
         shown="rays: {}",
         on_page=False,
     )
-    attitude: Attitude = option(
+    attitude: Attitude = axis(
         "imu",
         "Roll and pitch of the mapper: the IMU's readings, or none, as in planar SLAM.",
-        axis=True,
-        panel=AXES,
         shown="attitude: {}",
     )
-    driver: str = option(
+    driver: str = axis(
         TOUR,
         "A tour over the true ground; an explorer on the mapper's map and pose; waypoints (x, y[, yaw] per "
         "line) or a goal by the true pose; the commands of a finished run; the policy that ships.",
-        axis=True,
         reader=read_drivers,
         metavar="|".join(f"{name}{argument}" for name, argument in DRIVERS.items()),
-        panel=AXES,
         check=lambda value, _: driver_parts(value) and None,
         names=(TOUR, FRONTIER, PRETRAINED),
         shown="driver: {}",
@@ -229,56 +204,43 @@ class RunConfig(Options):
         "[0, 1]",
         "reversing {:g}",
     )
-    actors: int = option(
+    actors: int = axis(
         0,
         "Walkers on seeded paths: the lidar sees them, the robot touches them.",
-        axis=True,
         metavar="N,N,...",
-        panel=AXES,
         check=within("[0, inf)"),
         title="walkers",
         slider=Slider(low=0, high=100, step=1, neutral=0),
         shown="{} walkers",
     )
-    scan_time: ScanTime | None = option(
+    scan_time: ScanTime | None = axis(
         None,
         "Beams of a scan: all at its stamp, or one after the other while the robot goes on; default: rolling "
         "for lidars with rings, instant for planar ones.",
-        axis=True,
-        panel=AXES,
         shown="scan time: {}",
         rare=True,
         on_page=False,
     )
-    odometry_noise: float = option(
+    odometry_noise: float = axis(
         1.0,
         "Factors of the noise of wheels and gyro.",
-        axis=True,
         metavar="X,X,...",
-        panel=AXES,
         check=within("[0, 10]"),
         shown="odometry noise x {:g}",
         rare=True,
         on_page=False,
     )
-    noise: str = option(
+    noise: str = axis(
         "simulated",
         "Sensor noise: a level of the lidar's, or a YAML file such as `lirs-wct twin` writes.",
-        axis=True,
         metavar="none|simulated|datasheet|FILE.yaml",
-        panel=AXES,
         check=_known_noise,
         shown="noise: {}",
         names=NOISE_LEVELS,
         on_page=False,
     )
-    seed: int = option(
-        1,
-        "Seeds of every random number: 1-5 or 1,3,7-9.",
-        axis=True,
-        metavar="N|N-M|N,N,...",
-        panel=AXES,
-        check=within("[0, inf)"),
+    seed: int = axis(
+        1, "Seeds of every random number: 1-5 or 1,3,7-9.", metavar="N|N-M|N,N,...", check=within("[0, inf)")
     )
     seconds: float = option(
         120.0,

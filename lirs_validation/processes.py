@@ -107,15 +107,10 @@ def serve(function: str, handle: int, parent: int) -> None:
 
 def is_interrupt(error: BaseException) -> bool:
     """Whether an error is a Ctrl-C. A compiled kernel wraps it in a SystemError."""
-    return isinstance(error, (KeyboardInterrupt, SystemError)) and any(
-        isinstance(cause, KeyboardInterrupt) for cause in _causes(error)
-    )
-
-
-def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
+    cause: BaseException | None = error if isinstance(error, (KeyboardInterrupt, SystemError)) else None
+    while cause is not None and not isinstance(cause, KeyboardInterrupt):
+        cause = cause.__cause__ or cause.__context__
+    return cause is not None
 
 
 def end_with(parent: int) -> None:
@@ -129,7 +124,15 @@ def end_with(parent: int) -> None:
         # Python drops a signal that a child gets before it handles signals itself, unless it is blocked.
         block = partial(signal.pthread_sigmask, signal.SIG_BLOCK, {signal.SIGTERM})
         os.register_at_fork(before=block, after_in_parent=_unblock, after_in_child=_handle_as_usual)
-    threading.Thread(target=_die_with, args=(parent,), daemon=True).start()
+
+    def die_with_parent() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        if sys.platform != "win32" and os.getpgrp() == os.getpid():
+            end_group(os.getpid())
+        os._exit(1)
+
+    threading.Thread(target=die_with_parent, daemon=True).start()
 
 
 def _handle_as_usual() -> None:
@@ -165,14 +168,6 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
             return
         frame = frame.f_back
     raise KeyboardInterrupt
-
-
-def _die_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(1.0)
-    if sys.platform != "win32" and os.getpgrp() == os.getpid():
-        end_group(os.getpid())
-    os._exit(1)
 
 
 _SELF = Path("/proc/self")

@@ -68,9 +68,7 @@ def run_episode(
 ) -> EpisodeLog:
     """Run a policy on a task. A policy's error ends the episode and is logged.
 
-    Args:
-        data: folder with the files that do not ship.
-        picture: called at the end with the map and the path.
+    At the end, `picture` receives the map with the path.
     """
     env = make_task_env(task, data, choice.observe, "map" if picture else None)
     log = EpisodeLog()

@@ -81,8 +81,7 @@ class Bridge:
     def exchange(self, observation: Observation, estimate: Pose2 | None = None) -> None:
         """Publish a scan's messages and take in the client's; with lockstep, wait for its answer.
 
-        Args:
-            estimate: `T_map_base` of our mapper; None = the client publishes map -> odom.
+        `estimate` is `T_map_base` of our mapper; None = the client publishes map -> odom.
         """
         stamp = observation.scan.stamp
         if not self._options.lockstep:

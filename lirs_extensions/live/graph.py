@@ -107,12 +107,7 @@ def user_data(kind: str, distribution: Distribution) -> bytes:
 def discovery_message(
     participant: bytes, readers: Sequence[bytes], writers: Sequence[bytes], distribution: Distribution
 ) -> bytes:
-    """Return the message on `ros_discovery_info` that assigns endpoints to our node.
-
-    Args:
-        participant: GUID of the participant, 16 bytes.
-        distribution: Humble's identifiers have 24 bytes, later ones 16.
-    """
+    """Return the message on `ros_discovery_info` that assigns endpoints to our node, by 16 bytes each."""
     store = typestore(distribution)
     types: Any = store.types
     length = store.fielddefs["rmw_dds_common/msg/Gid"][1][0][1][1][1]
@@ -140,13 +135,9 @@ def zenoh_token(
     topic: LiveTopic | None = None,
     kind: str = "NN",
 ) -> str:
-    """Return the liveliness token of our node, or of a topic's publisher or subscription.
+    """Return the liveliness token of our node (NN), or of a topic's publisher (MP) or subscription (MS).
 
-    Args:
-        zid: identifier of the Zenoh session.
-        entity: number of the entity in the session.
-        topic: Topic of the endpoint; None = the node.
-        kind: `NN` node, `MP` publisher, `MS` subscription.
+    The entity is a number in the session of identifier `zid`.
     """
     node = f"@ros2_lv/{domain}/{zid}/0/{entity}/{kind}/%/%/{NODE}"
     if topic is None:

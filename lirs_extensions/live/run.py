@@ -56,13 +56,8 @@ def live(
 ) -> Iterator[LiveRun]:
     """Drive with a client; yield the result of each drive.
 
-    A request for a new start ends a drive, and the next one begins.
-
-    Args:
-        config: Configuration of the run, with the mapper `client` or one of ours, and the driver `client` for
-            /cmd_vel or one of ours.
-        out: folder that receives the runs' folders; None = nothing is written.
-        announce: shows a line about the connection.
+    A request for a new start ends a drive, and the next one begins. The config names the mapper `client` or
+    one of ours, and the driver `client` for /cmd_vel or one of ours.
     """
     robot = make_robot(config.robot)
     _check(config, options)

@@ -238,9 +238,6 @@ def shrink(case: Case, limits: SearchSpace, fails: Fails) -> tuple[Case, ...]:
     """Return the failing cases on the way to the simplest one, which is the last.
 
     In the last case, no single parameter can be reset without its passing.
-
-    Args:
-        fails: Function that tells whether a case fails; called once for each case.
     """
     known: dict[tuple[float, ...], bool] = {_key(case): True}
 

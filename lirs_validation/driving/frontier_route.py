@@ -94,10 +94,11 @@ def exploration_map(
     """Prepare a mapper's map for planning.
 
     Args:
+        mapped: Map of the mapper.
         stood: (n, 2) places where the robot was: its footprint there is free, whatever its lidar missed.
         blocked: (m, 3) x, y and radius of places where it did not get on.
-        footprint: radius of the robot, which never leaves the known ground, meters.
-        clearance: distance that its center keeps from occupied cells, meters.
+        footprint: Radius of the robot, which never leaves the known ground, meters.
+        clearance: Distance that its center keeps from occupied cells, meters.
     """
     occupied, known, origin, resolution = _thin_out(mapped, margin=clearance + RESOLUTION)
     frame = OccupancyGrid(np.zeros(known.shape, np.float32), resolution, origin)

@@ -308,6 +308,7 @@ def speed_profile(
         points: (n, 2) meters in the grid's frame, evenly spaced.
         grid: Frame of the cells.
         room: (rows, cols) meters to the nearest blocked cell.
+        config: Limits of the speed.
         height: (n,) meters of the ground, where slopes matter.
     """
     speed = np.minimum(config.speed, 0.7 * config.turn_rate / np.maximum(curvature(points), 1e-6))

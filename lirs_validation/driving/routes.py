@@ -150,9 +150,7 @@ class TourRoute:
     def tour(self, start: Pose2, length: float, *, straight: float = 0.0) -> FloatArray:
         """Return points (n, 2), 0.1 m apart, of a free path from the free cell nearest to a pose.
 
-        Args:
-            length: Meters before smoothing, about.
-            straight: Meters straight ahead at the beginning, or as many as are free.
+        It is `length` meters long before smoothing, straight ahead at the beginning.
         """
         ahead = cells_ahead(self._grid, self._free, start, straight)
         cell, heading = ahead[-1], start.yaw

@@ -150,12 +150,9 @@ class Driver(Protocol):
         """Reason why nothing is left to drive; empty while there is."""
 
     def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
-        """Return the command for the next tick.
+        """Return the command for the next tick, by the pose in the driver's frame and the latest scan.
 
-        Args:
-            pose: Pose of the robot, in the driver's frame.
-            time: Seconds since the robot began to drive.
-            odometry: `T_odom_base` at the scan.
+        The time is in seconds since the robot began to drive.
         """
 
 
@@ -177,14 +174,8 @@ def drive(
 ) -> Iterator[float]:
     """Simulate, map and log scan by scan; yield the simulated time of each, from 0 on.
 
-    The drive ends with its time, at the wall limit, with a failure or with the driver; the log says why.
-
-    Args:
-        simulation: Robot in its world, which is reset to the driver's start.
-        seconds: Simulated time of the drive, standing included.
-        stand: Simulated seconds of standing before the driver is asked.
-        wall_limit: Wall seconds after which the drive is stopped; None = never.
-        recorder: Function that receives each mapped scan; its time counts.
+    The drive ends with its time, standing included, at the wall limit (wall seconds), with a failure or with
+    the driver; the log says why. The recorder receives each mapped scan.
     """
     period, tracking, spent = simulation.period, LostRule(), 0.0
     ticks, limit = max(1, math.ceil(seconds / period - 1e-9)), wall_limit or math.inf

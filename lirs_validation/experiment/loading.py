@@ -41,11 +41,8 @@ def own_mapper(name: str, seed: int, options: Mapping[str, Any]) -> Mapper | Clo
 def own_class(name: str, what: str, method: str) -> Callable[..., Any]:
     """Return the class or function that `module:name` or `file.py:name` names.
 
-    A module is looked for in the current folder too, which is on `sys.path` only while it is imported.
-
-    Args:
-        what: Kind of the object that it makes, such as "mapper".
-        method: Method of that object; if the name is unknown, the error lists classes with it.
+    A module is looked for in the current folder too, which is on `sys.path` only while it is imported. An
+    error about an unknown name lists classes with the method.
     """
     module_name, _, attribute = name.rpartition(":")
     module = _module(module_name, f"{what} {name!r}")

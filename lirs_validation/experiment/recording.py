@@ -80,12 +80,7 @@ def sensor_errors(config: RunConfig) -> SensorErrors:
 
 @contextmanager
 def recording(config: RunConfig, out: Path, period: float) -> Iterator[Recording]:
-    """Record a drive's bag of the config's storage; its files are deleted unless they were moved.
-
-    Args:
-        out: Folder that is to receive the run's folder.
-        period: Time from scan to scan, seconds.
-    """
+    """Record a drive's bag of the config's storage; its files are deleted unless they were moved."""
     from lirs_wct.formats.rosbag.writer import BagWriter
 
     assert config.bag is not None

@@ -143,10 +143,12 @@ def run(
     """Run a config (see `validate`).
 
     Args:
-        out: folder that receives the run's folder; None = nothing is written.
-        scenarios: worlds that were built before.
-        concurrent: whether the sweep runs others at the same time.
-        name: name of the run's folder; None = the record's.
+        config: Run configuration.
+        out: Folder that receives the run's folder; None = nothing is written.
+        progress: Function that receives step and share.
+        scenarios: Worlds that were built before.
+        concurrent: Whether the sweep runs others at the same time.
+        name: Name of the run's folder; None = the record's.
         brief: Whether to omit the replay of the physics and the overview picture.
     """
     if config.bag is not None and out is None:

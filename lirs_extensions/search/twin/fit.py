@@ -277,7 +277,8 @@ def fit_odometry(
         poses: (n, 3) matched poses.
         stamps: (n,) seconds.
         control: (n, 3) matched poses of a simulation whose truth is `poses`; their errors are subtracted.
-        scale_length: correlation length of the scale error, meters.
+        scale_length: Correlation length of the scale error, meters.
+        seed: Seed of the bootstrap.
 
     Returns:
         None if the path has too few segments.

@@ -179,12 +179,7 @@ class TwinPath:
 
 
 def place_log(mapped: MappedLog, usual: Sequence[int], real: LogComparison) -> TwinPath:
-    """Match all scans of a log to the map of all blocks, and cast their rays there.
-
-    Args:
-        usual: scans with the usual number of beams.
-        real: comparison of the log, with the poses that make the map.
-    """
+    """Match all scans of a log to the map of all blocks, and cast their rays there."""
     scans = [mapped.log.scans[k] for k in usual]
     odometry = [mapped.log.odometry[k] for k in usual]
     whole = replace(real.scans, block=2 * real.scans.block)  # All blocks are even.
@@ -243,12 +238,8 @@ def replay_log(
 ) -> Replay:
     """Map a log and its simulations by some mappers; return their errors.
 
-    The truth of the log is its relations or its reference; without both it is the path in the map.
-
-    Args:
-        config: Configuration of the log's mapping; simulations have the seeds from its seed on.
-        draws: count of simulated logs with different random numbers; a mapper's error is the median.
-        folder: receives the simulated logs, and their true path.
+    The truth of the log is its relations or its reference; without both it is the path in the map. Each of
+    the `draws` simulated logs has another seed; the folder receives them, and their true path.
     """
     drive_files.write_tum(folder / "truth.tum", path.truth)
     paths = [folder / f"simulated-{config.seed + k}.clf.gz" for k in range(draws)]

@@ -214,6 +214,7 @@ def align(surfaces: Any, ranges: Any, angles: Any, start: Any, width: float, pos
     """Fill `poses` (n, 3) with the scans' poses by point-to-line matching.
 
     Args:
+        surfaces: Lines of the map.
         ranges: (n, beams) meters.
         angles: (beams,) radians.
         start: (n, 3) first poses.
@@ -380,8 +381,7 @@ def compare(scans: LogScans) -> LogComparison:
 def simulate_scans(real: LogComparison, start: FloatArray, noise: LidarNoise, seed: int) -> LogScans:
     """Return the scans that a lidar with `noise` measures at the matched poses.
 
-    Args:
-        start: (n, 3) first poses, from which the matching begins as it did for the log.
+    Their matching begins at the log's first poses (n, 3).
     """
     drawn = noisy_ranges(real.beams.ranges, real.scans.range_max, noise, seed)
     return replace(real.scans, ranges=drawn.astype(np.float64), poses=start)

@@ -71,11 +71,8 @@ def run_twin(
 ) -> tuple[TwinResult, Path]:
     """Compare a log with its simulation, fit the noise, and write the result's folder.
 
-    The folder holds twin.html, twin.json, noise.yaml, pictures, and the simulated logs of a replay.
-
-    Args:
-        config: Configuration of the mapping; its relations or its reference are the truth of a replay.
-        seed: Seed of the simulated noise and the bootstrap.
+    The folder holds twin.html, twin.json, noise.yaml, pictures, and the `draws` simulated logs of a replay,
+    whose truth is the config's relations or reference. The seed is that of noise and bootstrap.
     """
     make_lidar_preset(lidar)
     check_writable(out)
