@@ -53,7 +53,7 @@ def bench(options: BenchCommand, engine: EngineOptions) -> None:
     """
     from lirs_extensions.bench.episode import EpisodeTask
     from lirs_extensions.bench.tasks import task_set
-    from lirs_validation.sweep.sweep import Manifest, Sweep
+    from lirs_validation.sweep.sweep import Sweep
 
     tasks, data, output = task_set(options.set), options.data, options.output
     chosen = _with_sources(tasks.chosen(options.task, options.split), data)
@@ -70,8 +70,7 @@ def bench(options: BenchCommand, engine: EngineOptions) -> None:
         for policy in choices
         for each in chosen
     ]
-    manifest = Manifest(command=command_line())
-    sweep = Sweep(episodes, output, manifest=manifest, retry_failed=engine.retry_failed)
+    sweep = Sweep(episodes, output, command=command_line(), retry_failed=engine.retry_failed)
     try:
         run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices))
     except OutputError:

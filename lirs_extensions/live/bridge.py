@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 import warnings
@@ -34,7 +35,7 @@ from lirs_validation.experiment.recording import bag_tick
 from lirs_validation.processes import Cost
 from lirs_wct import ConfigError, LaserScan, OccupancyGrid, Pose2, Pose3, Trajectory
 from lirs_wct.formats.rosbag import frames, messages
-from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors, TickMessages, nanoseconds, occupancy_grid
+from lirs_wct.formats.rosbag.messages import SensorErrors, TickMessages, nanoseconds, occupancy_grid
 from lirs_wct.formats.rosbag.topics import MAP_TOPIC
 from slam_baselines.mapper import CloudMapper, Mapper, MapperStats
 
@@ -52,12 +53,12 @@ class Bridge:
     commands alone, not on its speed. Otherwise scans are published at the rate of the clock.
 
     Attributes:
-        published: scans so far.
-        expected: scans of those that need an answer.
-        answered: scans answered before the next one was published.
-        late: scans answered later.
-        delays: wall seconds from each scan to its answer.
-        jitter: seconds by which each scan was published too late, without lockstep.
+        published: Number of scans so far.
+        expected: Number of those that need an answer.
+        answered: Number of scans answered before the next one was published.
+        late: Number of scans answered later.
+        delays: Wall seconds from each scan to its answer.
+        jitter: Seconds by which each scan was published too late, without lockstep.
     """
 
     def __init__(
@@ -68,10 +69,10 @@ class Bridge:
         errors: SensorErrors,
         T_map_start: Pose2,
     ) -> None:
-        self._middleware, self._options, self._simulation = middleware, options, simulation
+        self._middleware, self.options, self.simulation = middleware, options, simulation
         self.client = Client(options, simulation.robot, simulation.period, T_map_start)
         self._messages = TickMessages(simulation.period, errors)
-        self._T_map_start = T_map_start
+        self.T_map_start = T_map_start
         self._T_map_world: Pose3 | None = None
         self._begun = math.nan
         self._unanswered: dict[int, float] = {}
@@ -84,16 +85,20 @@ class Bridge:
         `estimate` is `T_map_base` of our mapper; None = the client publishes map -> odom.
         """
         stamp = observation.scan.stamp
-        if not self._options.lockstep:
+        if not self.options.lockstep:
             self._keep_pace(stamp)
         self._receive(0.0)
-        for topic, _, message in self._messages.of(self._tick(observation, estimate)):
+        T_world_base = self.simulation.pose()
+        if self._T_map_world is None:
+            self._T_map_world = Pose3.from_pose2(self.T_map_start @ T_world_base.to_pose2().inverse())
+        tick = bag_tick(observation, self._T_map_world @ T_world_base, estimate)
+        for topic, _, message in self._messages.of(tick):
             self._middleware.publish(topic, message)
         self.client.drove(stamp, observation.odometry)
-        if self.published % self._options.every == 0:
+        if self.published % self.options.every == 0:
             self.expected += 1
             self._unanswered[nanoseconds(stamp)] = time.perf_counter()
-            if self._options.lockstep:
+            if self.options.lockstep:
                 self._await(nanoseconds(stamp))
         self.published += 1
 
@@ -126,12 +131,12 @@ class Bridge:
 
     def _await(self, stamp: int) -> None:
         """Wait until a scan is answered, at most the limit."""
-        end = time.perf_counter() + self._options.limit
+        end = time.perf_counter() + self.options.limit
         while stamp in self._unanswered and not (self.client.reset or self.client.ended):
             left = end - time.perf_counter()
             if left <= 0.0:
                 warnings.warn(
-                    f"no answer within {self._options.limit:g} s (option limit): scans are skipped",
+                    f"no answer within {self.options.limit:g} s (option limit): scans are skipped",
                     stacklevel=2,
                 )
                 return
@@ -143,7 +148,7 @@ class Bridge:
         if not received:
             return
         now, last = time.perf_counter(), next(reversed(self._unanswered), 0)
-        stamp = self.client.take(received, self._simulation.time())
+        stamp = self.client.take(received, self.simulation.time())
         if not stamp:
             return
         for scan in [scan for scan in self._unanswered if scan <= stamp]:
@@ -157,18 +162,12 @@ class Bridge:
         """Wait for the wall time of a scan, and take in messages meanwhile."""
         now = time.perf_counter()
         if math.isnan(self._begun):
-            self._begun = now - stamp / self._options.rate
-        due = self._begun + stamp / self._options.rate
+            self._begun = now - stamp / self.options.rate
+        due = self._begun + stamp / self.options.rate
         while (left := due - time.perf_counter()) > 0.0:
             # Sleeping for the whole time would add the clients' late answers to the next scan's.
             self._receive(left)
         self.jitter.append(time.perf_counter() - due)
-
-    def _tick(self, observation: Observation, estimate: Pose2 | None) -> BagTick:
-        T_world_base = self._simulation.pose()
-        if self._T_map_world is None:
-            self._T_map_world = Pose3.from_pose2(self._T_map_start @ T_world_base.to_pose2().inverse())
-        return bag_tick(observation, self._T_map_world @ T_world_base, estimate)
 
 
 class ClientMapper:
@@ -176,9 +175,9 @@ class ClientMapper:
 
     requires_odometry, reads_inertial = False, True
 
-    def __init__(self, bridge: Bridge, name: str, *, reads_clouds: bool, T_start_map: Pose2) -> None:
-        self.name, self.reads_clouds = name, reads_clouds
-        self._bridge, self._T_start_map = bridge, T_start_map
+    def __init__(self, bridge: Bridge, name: str) -> None:
+        self.name, self.reads_clouds = name, bridge.simulation.preset.rings > 1
+        self._bridge, self._T_start_map = bridge, bridge.T_map_start.inverse()
 
     def observe(self, observation: Observation | SensorReadings) -> Estimate:
         """Exchange a scan with the client; return its pose estimate."""
@@ -298,7 +297,7 @@ class Client:
         self._answer, self._robot = options.answer, robot
         self._patience = max(STOPPED_AFTER, 2 * options.every * period)
         self._command, self._commanded = Twist(), -math.inf
-        self._frames, self._added = frames.Frames(), 0
+        self._frames, self._lines = frames.Frames(), itertools.count(1)
         self._T_map_start, self._maps = T_map_start, False
         self._T_map_odom = Pose3.from_pose2(T_map_start)
         self._warned: set[str] = set()
@@ -336,7 +335,9 @@ class Client:
     def drove(self, stamp: float, T_odom_base: Pose2) -> None:
         """Note the odometry at a scan, for the trajectory."""
         message = messages.transforms(stamp, messages.DRIVEN, (Pose3.from_pose2(T_odom_base),))
-        self._frames.add(self._line(), self._store.deserialize_cdr(message, TRANSFORMS_TYPE), static=False)
+        self._frames.add(
+            next(self._lines), self._store.deserialize_cdr(message, TRANSFORMS_TYPE), static=False
+        )
 
     def trajectory(self) -> Trajectory:
         """Return `T_map_base` at the stamps of scans, of transforms interpolated as in tf2.
@@ -345,10 +346,6 @@ class Client:
         """
         found = self._frames.trajectory(messages.BASE)
         return found if self._maps else found.moved(self._T_map_start)
-
-    def _line(self) -> int:
-        self._added += 1
-        return self._added
 
     def _take(self, kind: str, message: Any, time: float) -> int:
         if kind in (TWIST, TWIST_STAMPED):
@@ -377,7 +374,7 @@ class Client:
             self._T_map_odom, self._maps = T, True
             if self._answer != "cmd_vel":
                 answered = _nanoseconds(t.header.stamp)
-            self._frames.add(self._line(), type(message)([t]), static=False)
+            self._frames.add(next(self._lines), type(message)([t]), static=False)
         return answered
 
     def _legal(self, twist: Any) -> Twist:

@@ -14,7 +14,6 @@ from pathlib import Path
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
-from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import can_stand
 from lirs_extensions.live.bridge import Bridge, Client, ClientDriver, ClientMapper, PublishedMapper
 from lirs_extensions.live.graph import CYCLONE_LOOPBACK, PUBLISHED, LiveTopic, Middleware
@@ -69,76 +68,47 @@ def live(
     with compile_timer() as compile_seconds:
         simulation = scenario.simulation(robot, inertial=True)
         warm_up(config, simulation, start)
-    middleware = open_middleware(options, _topics(config, options))
-    with closing(middleware):
+    with closing(open_middleware(options, _topics(config, options))) as middleware:
         _await_client(middleware, options, announce)
-        session = _Session(scenario, simulation, middleware, options, start, compile_seconds())
-        yield from session.drives(out, progress)
-
-
-@dataclass(frozen=True)
-class _Session:
-    """Drives of one client, one after the other.
-
-    Attributes:
-        simulation: Robot in its world, for all drives.
-        first: Start pose of the first drive, world frame; the client's map frame begins there.
-        compile_seconds: Wall seconds that the compiler took.
-    """
-
-    scenario: Scenario
-    simulation: Simulation
-    middleware: Middleware
-    options: LiveOptions
-    first: Pose2
-    compile_seconds: float
-
-    def drives(self, out: Path | None, progress: Progress) -> Iterator[LiveRun]:
-        """Yield the drives until the configured time is over."""
-        config, T_map_start, left, count = self.scenario.config, Pose2(), self.scenario.config.seconds, 0
+        T_map_start, left, count = Pose2(), config.seconds, 0
         while True:
             count += 1
-            ready, bridge = self._ready(T_map_start, left)
+            bridge = Bridge(middleware, options, simulation, sensor_errors(config), T_map_start)
+            ready = _make_ready(scenario, bridge, start @ T_map_start, left, compile_seconds())
+            name = run_name(config, scenario.world.name)
             if count > 1:
-                self.middleware.receive()  # what the client sent since the former drive is not for this one
-            name = run_name(config, self.scenario.world.name)
+                middleware.receive()  # what the client sent since the former drive is not for this one
+                name += f"-{count}"
             with _ended_by_interrupt(bridge.client):
-                run = drive_and_conclude(ready, out, progress, name if count == 1 else f"{name}-{count}")
+                run = drive_and_conclude(ready, out, progress, name)
             yield LiveRun(run, bridge)
-            left -= len(run.log.tick_seconds) * self.simulation.period
-            if bridge.client.ended or not bridge.client.reset or left < self.simulation.period:
+            left -= len(run.log.tick_seconds) * simulation.period
+            if bridge.client.ended or not bridge.client.reset or left < simulation.period:
                 return
-            T_map_start = self._requested(bridge.client.start)
+            T_map_start = bridge.client.start or Pose2()
+            if not can_stand(scenario.world, robot, start @ T_map_start):
+                where = f"({T_map_start.x:.2f}, {T_map_start.y:.2f})"
+                line = f"/initialpose: {robot.name} cannot stand at {where}; starts at (0, 0)"
+                warnings.warn(line, stacklevel=2)
+                T_map_start = Pose2()
 
-    def _ready(self, T_map_start: Pose2, seconds: float) -> tuple[ReadyRun, Bridge]:
-        config, scenario, simulation = self.scenario.config, self.scenario, self.simulation
-        bridge = Bridge(self.middleware, self.options, simulation, sensor_errors(config), T_map_start)
-        mapper: MapperUnderTest
-        if config.mapper == self.options.client:
-            clouds, T_start_map = simulation.preset.rings > 1, T_map_start.inverse()
-            mapper = ClientMapper(bridge, config.mapper, reads_clouds=clouds, T_start_map=T_start_map)
-        else:
-            ours = mapper_named(config.mapper, config.seed, config.parameters)
-            mapper = PublishedMapper(bridge, ours, config)
-        own, stand = None, 0.0
-        if config.driver != CLIENT:
-            own = make_driver(scenario.world, simulation.robot, config, mapper.map)
-            stand = config.stand or 0.0
-        start = self.first @ T_map_start if own is None else own.start
-        driver = ClientDriver(start, bridge.client, own)
-        ready = ReadyRun(scenario, simulation, driver, mapper, seconds, self.compile_seconds, stand)
-        return ready, bridge
 
-    def _requested(self, T_map_start: Pose2 | None) -> Pose2:
-        """Return the requested start, map frame; the first one if the robot cannot stand there."""
-        if T_map_start is None:
-            return Pose2()
-        start = self.first @ T_map_start
-        if can_stand(self.scenario.world, self.simulation.robot, start):
-            return T_map_start
-        name, where = self.simulation.robot.name, f"({T_map_start.x:.2f}, {T_map_start.y:.2f})"
-        warnings.warn(f"/initialpose: {name} cannot stand at {where}; starts at (0, 0)", stacklevel=2)
-        return Pose2()
+def _make_ready(
+    scenario: Scenario, bridge: Bridge, start: Pose2, seconds: float, compile_seconds: float
+) -> ReadyRun:
+    """Return a drive whose mapper or driver is the client, or both; the client begins at the start."""
+    config, simulation = scenario.config, bridge.simulation
+    mapper: MapperUnderTest
+    if config.mapper == bridge.options.client:
+        mapper = ClientMapper(bridge, config.mapper)
+    else:
+        mapper = PublishedMapper(bridge, mapper_named(config.mapper, config.seed, config.parameters), config)
+    own, stand = None, 0.0
+    if config.driver != CLIENT:
+        own = make_driver(scenario.world, simulation.robot, config, mapper.map)
+        start, stand = own.start, config.stand or 0.0
+    driver = ClientDriver(start, bridge.client, own)
+    return ReadyRun(scenario, simulation, driver, mapper, seconds, compile_seconds, stand)
 
 
 @contextmanager

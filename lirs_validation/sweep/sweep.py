@@ -6,7 +6,7 @@ import json
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, get_args
 
@@ -165,28 +165,11 @@ def read_status(path: Path) -> dict[str, Any]:
     return entry
 
 
-@dataclass(frozen=True, kw_only=True)
-class Manifest:
-    """Content of `sweep.json`: the requested tasks.
-
-    Attributes:
-        suite: Name of the suite; None = the tasks were given one by one.
-        cells: Name, world, config and the suite's tables of each task.
-    """
-
-    command: str = ""
-    suite: str | None = None
-    cells: tuple[dict[str, Any], ...] = ()
-    versions: dict[str, str] = field(default_factory=versions)
-    machine: dict[str, Any] = field(default_factory=machine)
-
-
 class Executor(Protocol):
     """Interface of an engine: run each task at least once, yield one outcome each."""
 
     def run(self, tasks: Sequence[SweepTask], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run tasks into folders of `out`. The caller writes the outcomes of failures."""
-        ...
 
 
 class Serial:
@@ -204,7 +187,9 @@ class Sweep:
 
     Args:
         tasks: Tasks to run; of several with one name, the last.
-        manifest: Content of `sweep.json` except the tasks.
+        command: Command line, for `sweep.json`.
+        suite: Name of the suite; None = the tasks were given one by one.
+        listed: Whether `sweep.json` is written.
 
     Attributes:
         outcomes: Outcome of each finished task, by name.
@@ -217,7 +202,8 @@ class Sweep:
         tasks: Sequence[SweepTask],
         out: Path,
         *,
-        manifest: Manifest | None = None,
+        command: str = "",
+        suite: str | None = None,
         listed: bool = True,
         retry_failed: bool = False,
     ) -> None:
@@ -226,15 +212,15 @@ class Sweep:
                 task.check()
         self.tasks = list({task.name: task for task in tasks}.values())
         self.out = out
-        cells = tuple(task.describe() for task in self.tasks)
-        self._manifest = replace(manifest or Manifest(), cells=cells) if listed else None
+        cells = [task.describe() for task in self.tasks]
+        entry = {"schema": MANIFEST_SCHEMA, "command": command, "suite": suite, "cells": cells}
+        self._manifest = entry | {"versions": versions(), "machine": machine()} if listed else None
         remove_leftovers(out / task.name for task in self.tasks)
-        found = {task.name: task.find_outcome(out) for task in self.tasks}
-        self.outcomes = {
-            name: outcome
-            for name, outcome in found.items()
-            if outcome is not None and (outcome.succeeded or not retry_failed)
-        }
+        self.outcomes: dict[str, Outcome] = {}
+        for task in self.tasks:
+            outcome = task.find_outcome(out)
+            if outcome is not None and (outcome.succeeded or not retry_failed):
+                self.outcomes[task.name] = outcome
         self.kept = len(self.outcomes)
         self.unwritten: dict[str, str] = {}
 
@@ -291,7 +277,7 @@ class Sweep:
         if self._manifest is None:
             return
         try:
-            write_json(self.out / MANIFEST, {"schema": MANIFEST_SCHEMA} | vars(self._manifest), plain)
+            write_json(self.out / MANIFEST, self._manifest, plain)
         except OutputError:
             return  # the disk is full: with the next result then
         self._manifest = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, fields
 from functools import cache, cached_property
@@ -295,14 +295,11 @@ def make_paper_suite(**options: Any) -> tuple[SweepTask, ...]:
     return tuple(sorted(tasks, key=lambda each: tuple(TABLES).index(each.world_config.source)))
 
 
-SUITES: Mapping[str, Callable[..., tuple[SweepTask, ...]]] = {"paper": make_paper_suite}
-
-
 def make_suite(name: str, **options: Any) -> tuple[SweepTask, ...]:
     """Return the tasks of a suite (see `make_paper_suite`)."""
-    if name not in SUITES:
-        raise unknown_name("suite", name, SUITES)
-    return SUITES[name](**options)
+    if name != "paper":
+        raise unknown_name("suite", name, ["paper"])
+    return make_paper_suite(**options)
 
 
 def make_executor(options: EngineOptions) -> Executor:

@@ -170,10 +170,10 @@ def _run(
     limits: VerdictLimits = LIMITS,
 ) -> list[Verdict]:
     """Run tasks, print their tables and verdicts; return the verdicts."""
-    from lirs_validation.sweep.sweep import Manifest, Sweep
+    from lirs_validation.sweep.sweep import Sweep
 
-    manifest = Manifest(command=command_line(), suite=suite)
-    sweep = Sweep(tasks, out, manifest=manifest, listed=listed, retry_failed=engine.retry_failed)
+    options: dict[str, Any] = {"command": command_line(), "suite": suite, "listed": listed}
+    sweep = Sweep(tasks, out, **options, retry_failed=engine.retry_failed)
     verdicts: list[Verdict] = []
     run_sweep(sweep, engine, lambda: verdicts.extend(_show(sweep, limits)))
     return verdicts

@@ -3,11 +3,12 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from lirs_validation.sweep.engines import Processes
-from lirs_validation.sweep.sweep import Manifest, Serial, Sweep
+from lirs_validation.sweep.sweep import Serial, Sweep
 from lirs_wct.errors import OutputError, WctError
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment, Manner
 
@@ -111,8 +112,8 @@ def test_the_only_experiment_says_at_once_that_it_cannot_be_written(tmp_path: Pa
 
 
 def test_the_sweeps_file_names_every_experiment_and_the_command(tmp_path: Path, notes: str) -> None:
-    manifest = Manifest(command="lirs-wct validate --suite paper", suite="paper")
-    list(Sweep(experiments(notes, "good", "raises"), tmp_path / "out", manifest=manifest).run(Serial()))
+    listing: dict[str, Any] = {"command": "lirs-wct validate --suite paper", "suite": "paper"}
+    list(Sweep(experiments(notes, "good", "raises"), tmp_path / "out", **listing).run(Serial()))
     entry = json.loads((tmp_path / "out" / "sweep.json").read_text())
     assert entry["suite"] == "paper"
     assert entry["command"] == "lirs-wct validate --suite paper"
