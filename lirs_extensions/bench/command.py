@@ -14,7 +14,6 @@ from lirs_wct.option import Options, argument, option, read_pairs
 
 if TYPE_CHECKING:
     from lirs_extensions.bench.policies import PolicyChoice
-    from lirs_extensions.bench.results import PolicyResult
     from lirs_extensions.bench.tasks import BenchTask, TaskSet
 
 POLICY_HELP = (
@@ -139,7 +138,11 @@ def _show(
     split = splits.pop() if len(splits) == 1 else "all"
     for result in results:
         if result.policy in policies:
-            _tell_failures(result)
+            failed = {name: entry for name, entry in result.episodes.items() if entry["status"] != "ok"}
+            for name, entry in list(failed.items())[:MAX_LISTED]:
+                note(f"{result.policy.label} failed on {name}: {entry['reason']}", style="red")
+            if len(failed) > MAX_LISTED:
+                note(f"... and on {len(failed) - MAX_LISTED} other tasks", style="red")
     out.print(bench_table(results, task))
     path = output / f"scores-{tasks.name}-{task}-{split}.json"
     about = {"set": tasks.name, "version": tasks.version, "task": task, "split": split}
@@ -152,12 +155,3 @@ def _show(
     for other in own[1:]:
         say(difference_line(other, own[0]))
     say(path)
-
-
-def _tell_failures(result: PolicyResult) -> None:
-    failed = {name: entry for name, entry in result.episodes.items() if entry["status"] != "ok"}
-    for name, entry in list(failed.items())[:MAX_LISTED]:
-        line = f"{result.policy.label} failed on {name}: {entry['reason']}"
-        note(line, style="red")
-    if len(failed) > MAX_LISTED:
-        note(f"... and on {len(failed) - MAX_LISTED} other tasks", style="red")

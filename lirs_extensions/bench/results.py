@@ -126,19 +126,17 @@ def read_results(out: Path, tasks: TaskSet, chosen: Sequence[BenchTask]) -> list
         if same_set and same_code(entry["versions"]) and described.get(name) == as_read(entry["task"]):
             policy = PolicyChoice(entry["policy"], tuple(sorted(entry["arguments"].items())))
             found.setdefault(policy, {})[name] = entry
-    results = [_result(policy, episodes) for policy, episodes in found.items()]
+    results = []
+    for policy, episodes in found.items():
+        score = score_of([float(entry["metrics"]["score"]) for entry in episodes.values()])
+        assert score is not None, "there is an episode"
+        results.append(PolicyResult(policy=policy, score=score, episodes=episodes))
     return sorted(results, key=lambda result: -result.score.mean)
 
 
 def as_read(task: dict[str, Any]) -> dict[str, Any]:
     """Return a described task of a record, whose tuples JSON made lists."""
     return {key: tuple(value) if key in ("start", "goal") else value for key, value in task.items()}
-
-
-def _result(policy: PolicyChoice, episodes: dict[str, dict[str, Any]]) -> PolicyResult:
-    score = score_of([float(entry["metrics"]["score"]) for entry in episodes.values()])
-    assert score is not None, "there is an episode"
-    return PolicyResult(policy=policy, score=score, episodes=episodes)
 
 
 MEASURES = {

@@ -72,7 +72,12 @@ class DdsNode:
         self._conditions = [ReadCondition(reader, ANY) for _, reader in self._readers]
         for condition in self._conditions:
             self._waiting.attach(condition)
-        self._announce()
+        # `ros2 node list` reads our node on this topic.
+        discovery = LiveTopic(DISCOVERY_TOPIC, DISCOVERY_TYPE, 1, durable=True)
+        self._graph = self._writer(DISCOVERY_TOPIC, discovery)
+        readers = [reader.guid.bytes for _, reader in self._readers]
+        writers = [writer.guid.bytes for writer in self._writers.values()]
+        write_raw(self._graph, discovery_message(self._participant.guid.bytes, readers, writers, self._ros))
 
     def publish(self, topic: str, message: bytes | bytearray) -> None:
         """Send a message; drop it with a warning if a reliable subscriber does not take it in time."""
@@ -110,15 +115,6 @@ class DdsNode:
         """Leave the domain."""
         for entity in (*self._conditions, self._waiting, self._participant, self._domain):
             entity._delete(entity._ref)
-
-    def _announce(self) -> None:
-        """Publish our node on `ros_discovery_info`, which `ros2 node list` reads."""
-        self._graph = self._writer(
-            DISCOVERY_TOPIC, LiveTopic(DISCOVERY_TOPIC, DISCOVERY_TYPE, 1, durable=True)
-        )
-        readers = [reader.guid.bytes for _, reader in self._readers]
-        writers = [writer.guid.bytes for writer in self._writers.values()]
-        write_raw(self._graph, discovery_message(self._participant.guid.bytes, readers, writers, self._ros))
 
     def _writer(self, name: str, topic: LiveTopic) -> Any:
         return DataWriter(self._participant, self._topic(name, topic.kind), self._quality(topic))

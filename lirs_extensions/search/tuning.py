@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -95,35 +96,31 @@ class TuneDrives:
         pool: WorkerPool | None = None,
     ) -> None:
         self.target, self.options, self.space = target, options, space
-        self.usual = Case(dict(default_parameters(target.mapper)))
+        self.defaults = default_parameters(target.mapper)
         self.archive = TrialArchive(out / "drives.jsonl", TuneScore, pool)
 
     def text(self, case: Case) -> str:
         """Return the held parameters and those of a case that differ from the mapper's defaults."""
-        found = [self.target.parameters] if self.target.parameters else []
-        changed = [n for n, value in case.values.items() if value != self.usual.values[n]]
-        return ",".join([*found, *(f"{name}={case.values[name]:g}" for name in changed)])
+        fixed = [self.target.parameters] if self.target.parameters else []
+        values = [f"{n}={value:g}" for n, value in case.values.items() if value != self.defaults[n]]
+        return ",".join([*fixed, *values])
 
     def run(self, cases: Sequence[Case], seeds: Sequence[int]) -> list[list[TuneScore]]:
         """Return the scores of cases by seed; of a log, seed k is its part k."""
-        trials = [self._trial(case, seed) for case in cases for seed in seeds]
-        measure = measure_run if isinstance(self.target, RunConfig) else measure_part
-        scores = self.archive.scores(measure, trials, self.target.mapper)
+        target, trials = self.target, list[tuple[str, tuple[Any, ...]]]()
+        for parameters, seed in itertools.product(map(self.text, cases), seeds):
+            if isinstance(target, RunConfig):
+                config = replace(target, parameters=parameters, seed=seed)
+                trials.append((trial_key({"run": config.digest, "seed": seed}), (config,)))
+                continue
+            parts, path = 2 * self.options.unseen, Path(target.log)
+            log = replace(target, parameters=parameters, seed=target.seed + seed)
+            truth = [log.relations, log.reference, log.digest(path) if path.is_file() else log.log]
+            key = trial_key({"log": [*truth, parameters, seed, parts]})
+            trials.append((key, (log, seed, parts)))
+        measure = measure_run if isinstance(target, RunConfig) else measure_part
+        scores = self.archive.scores(measure, trials, target.mapper)
         return [scores[k : k + len(seeds)] for k in range(0, len(scores), len(seeds))]
-
-    def _trial(self, case: Case, seed: int) -> tuple[str, tuple[Any, ...]]:
-        parameters = self.text(case)
-        if isinstance(self.target, RunConfig):
-            config = replace(self.target, parameters=parameters, seed=seed)
-            return trial_key({"run": config.digest, "seed": seed}), (config,)
-        parts = 2 * self.options.unseen
-        log = replace(self.target, parameters=parameters, seed=self.target.seed + seed)
-        truth = [
-            log.relations,
-            log.reference,
-            log.digest(Path(log.log)) if Path(log.log).is_file() else log.log,
-        ]
-        return trial_key({"log": [*truth, parameters, seed, parts]}), (log, seed, parts)
 
     @property
     def seeds(self) -> tuple[list[int], list[int]]:

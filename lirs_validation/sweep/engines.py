@@ -89,7 +89,12 @@ class WorkerPool:
         try:
             while waiting or self._busy:
                 self._hand_out(waiting, jobs)
-                for worker in self._ready():
+                busy = self._busy
+                left = min([LONGEST_WAIT, *(worker.seconds_left for worker in busy)])
+                pipes = wait([worker.pipe for worker in busy], left)
+                for worker in busy:
+                    if worker.pipe not in pipes and worker.seconds_left > 0.0:
+                        continue
                     number = worker.job
                     match worker.receive():
                         case ("progress", step, share):
@@ -121,12 +126,6 @@ class WorkerPool:
                 self._workers.append(idle)
             number = waiting.popleft()
             idle.begin(number, jobs[number])
-
-    def _ready(self) -> list[_Worker]:
-        """Wait until a worker sends a message, dies or exceeds its time; return those."""
-        busy = self._busy
-        pipes = wait([w.pipe for w in busy], min([LONGEST_WAIT, *(w.seconds_left for w in busy)]))
-        return [worker for worker in busy if worker.pipe in pipes or worker.seconds_left == 0.0]
 
     def _stop(self, workers: Sequence[_Worker]) -> None:
         """End processes; they clean up concurrently."""

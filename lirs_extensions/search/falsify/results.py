@@ -31,7 +31,6 @@ from lirs_extensions.search.falsify.search import (
 )
 from lirs_extensions.search.options import FAILURE_FACTOR, FalsifyOptions
 from lirs_validation.experiment.run import run
-from lirs_validation.record.run_record import RunRecord
 from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
 from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.tasks import CASE
@@ -338,7 +337,12 @@ def _write_case(staged: Path, out: Path, drives: CaseDrives, number: int, found:
         paths = None
         try:
             driven = run(config)
-            record = _moved(driven.record, folder, out / name)
+            # The world moves to another folder.
+            record, old, new = driven.record, str(folder), str(out / name)
+            source, noise = (text.replace(old, new) for text in (record.config.source, record.config.noise))
+            files = [file | {"path": file["path"].replace(old, new)} for file in record.world["files"]]
+            config = replace(record.config, source=source, noise=noise)
+            record = replace(record, config=config, world=record.world | {"files": files})
             replace(driven, record=record).write(folder / RUN)
             truth, estimate, _ = driven.log.trajectories()
             limit = next((s.limit for s in found.scores if s.limit), 0.0)
@@ -354,14 +358,6 @@ def _write_case(staged: Path, out: Path, drives: CaseDrives, number: int, found:
     (folder / "case.png").write_bytes(picture)
     failures = sum(map(drives.fails, found.scores))
     return WrittenCase(name, found, failures, text, picture)
-
-
-def _moved(record: RunRecord, old: Path, new: Path) -> RunRecord:
-    """Return the record of a run whose world moves to another folder."""
-    source, noise = (text.replace(str(old), str(new)) for text in (record.config.source, record.config.noise))
-    files = [file | {"path": file["path"].replace(str(old), str(new))} for file in record.world["files"]]
-    config = replace(record.config, source=source, noise=noise)
-    return replace(record, config=config, world=record.world | {"files": files})
 
 
 def _write_suite(out: Path, drives: CaseDrives, cases: Sequence[WrittenCase]) -> None:
