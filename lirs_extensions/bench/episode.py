@@ -176,11 +176,6 @@ class EpisodeTask(SweepTask):
         digest = hashlib.sha256(text.encode()).hexdigest()[:8]
         return f"{self.set_name}-{self.task.name}-{self.policy.short}-{digest}"
 
-    @property
-    def world_config(self) -> None:
-        """Return None: an episode makes its world."""
-        return None
-
     def check(self) -> None:
         """Check the policy and the files of the world."""
         _check_policy(self.policy, self.task.task)

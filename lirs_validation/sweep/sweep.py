@@ -91,9 +91,9 @@ class SweepTask(ABC):
         """Name of its folder, different from every other task's."""
 
     @property
-    @abstractmethod
     def world_config(self) -> RunConfig | None:
         """Config of its world; None = the task makes its world itself."""
+        return None
 
     @abstractmethod
     def check(self) -> None:
@@ -101,11 +101,7 @@ class SweepTask(ABC):
 
     @abstractmethod
     def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
-        """Do the work and write its folder.
-
-        Raises:
-            WctError: it cannot be done, or not written.
-        """
+        """Do the work and write its folder."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
