@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -33,7 +33,7 @@ from lirs_extensions.search.case_search import (
 from lirs_extensions.search.options import FAILURE_FACTOR, POLICY_TASK, FalsifyOptions
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_unwritten
-from lirs_validation.record.verdict import LIMITS, VerdictFigures, classify
+from lirs_validation.record.verdict import LIMITS, classify, run_figures
 from lirs_validation.sweep.engines import WorkerPool
 from lirs_validation.sweep.tasks import CASE, RunTask, case_options, read_yaml_fields
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, unknown_name
@@ -214,17 +214,8 @@ def measure(options: FalsifyOptions, method: str, case: Case, seed: int, returns
 def _measure_mapper(config: RunConfig, least: float) -> DriveScore:
     """Return the score of a mapper's drive."""
     record = run_unwritten(config)
-    trajectory, scans, reason = record.trajectory, record.scans, record.reason
-    error, odometry = trajectory.get("ate_rmse"), trajectory.get("odometry_ate_rmse")
-    figures = VerdictFigures(
-        status=record.status,
-        has_reference=True,
-        robot_lengths=trajectory["robot_lengths"],
-        error=error,
-        odometry_error=odometry,
-        distance=trajectory["length"],
-    )
-    kind, _ = classify(figures)
+    figures, scans, reason = run_figures(asdict(record)), record.scans, record.reason
+    error, odometry, (kind, _) = figures.error, figures.odometry_error, classify(figures)
     if kind == "not evaluated" or error is None or odometry is None:
         return DriveScore(0.0, counted=False, reason=reason or "too short a drive")
     share = scans["returns_median"] / scans["beams"] if scans else None  # of point clouds
