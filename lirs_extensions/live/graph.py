@@ -135,7 +135,7 @@ def zenoh_token(
     topic: LiveTopic | None = None,
     kind: str = "NN",
 ) -> str:
-    """Return the liveliness token of our node (NN), or of a topic's publisher (MP) or subscription (MS).
+    """Return the token of our node (NN), or of a topic's publisher (MP) or subscription (MS).
 
     The entity is a number in the session of identifier `zid`.
     """

@@ -96,7 +96,7 @@ def live(
 def _make_ready(
     scenario: Scenario, bridge: Bridge, start: Pose2, seconds: float, compile_seconds: float
 ) -> ReadyRun:
-    """Return a drive whose mapper or driver is the client, or both; the client begins at the start."""
+    """Return a drive whose mapper, driver or both is the client."""
     config, simulation = scenario.config, bridge.simulation
     mapper: MapperUnderTest
     if config.mapper == bridge.options.client:

@@ -106,7 +106,7 @@ class TuneDrives:
         return ",".join([*fixed, *values])
 
     def run(self, cases: Sequence[Case], seeds: Sequence[int]) -> list[list[TuneScore]]:
-        """Return the scores of cases by seed; of a log, seed k is its part k."""
+        """Return the scores of cases by seed; of a log, by its parts."""
         target, trials = self.target, list[tuple[str, tuple[Any, ...]]]()
         for parameters, seed in itertools.product(map(self.text, cases), seeds):
             if isinstance(target, RunConfig):

@@ -80,7 +80,7 @@ def _waypoint_driver(world: World, robot: Robot, config: RunConfig) -> PathDrive
 
 
 def _policy_driver(world: World, robot: Robot, config: RunConfig, goal: str) -> PolicyDriver:
-    """Return the driver of the policy that ships, to a goal or to seeded places one after the other."""
+    """Return the driver of the policy that ships, to a goal or to seeded places."""
     free = drivable_ground(world, robot)
     start = start_pose(world, robot, config, free)
     lidar = make_lidar_preset(config.lidar or robot.lidar)
@@ -235,7 +235,7 @@ class ReplayDriver:
 
 
 def replay(folder: Path, config: RunConfig, world: str) -> ReplayDriver:
-    """Return the driver that repeats a run; other mappers and options then drive the same path."""
+    """Return the driver that repeats a run, for other mappers on the same path."""
     commands = _read_replay(folder, config.robot)
     named = str(read_record(folder)["world"]["name"])
     if named != world:

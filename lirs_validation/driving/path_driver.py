@@ -1,4 +1,4 @@
-"""Paths over grid cells, and the driver that follows them, backs off, replans and finally gives up.
+"""Paths over grid cells, and the driver that follows them.
 
 Pure pursuit: Coulter, CMU-RI-TR-92-01, 1992.
 """
@@ -66,7 +66,7 @@ def nearest(mask: BoolArray, cell: IntArray) -> IntArray:
 
 
 def cells_ahead(grid: OccupancyGrid, free: BoolArray, start: Pose2, distance: float) -> IntArray:
-    """Return (n, 2) rows and columns on a straight line ahead, from the free cell nearest to a pose.
+    """Return cells (n, 2) straight ahead of the free cell nearest to a pose.
 
     The line ends after a distance in meters, or before the first cell that is not free.
     """
@@ -302,7 +302,7 @@ def speed_profile(
     config: PursuitConfig,
     height: FloatArray | None = None,
 ) -> FloatArray:
-    """Return (n,) m/s along a path that ends at rest: slow in bends, narrow places and on slopes.
+    """Return (n,) m/s along a path: slow in bends, narrow places and on slopes.
 
     Args:
         points: (n, 2) meters in the grid's frame, evenly spaced.

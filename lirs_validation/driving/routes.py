@@ -148,9 +148,10 @@ class TourRoute:
         return float((self._covered_at[self._free] > -np.inf).mean())
 
     def tour(self, start: Pose2, length: float, *, straight: float = 0.0) -> FloatArray:
-        """Return points (n, 2), 0.1 m apart, of a free path from the free cell nearest to a pose.
+        """Return points (n, 2), 0.1 m apart, of a free path from a pose.
 
-        It is `length` meters long before smoothing, straight ahead at the beginning.
+        It begins at the nearest free cell, and is `length` meters long before smoothing; the first `straight`
+        meters lead ahead.
         """
         ahead = cells_ahead(self._grid, self._free, start, straight)
         cell, heading = ahead[-1], start.yaw

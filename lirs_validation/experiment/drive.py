@@ -1,4 +1,4 @@
-"""World, online loop of driver, simulation and mapper, one lidar period per tick, and its log."""
+"""World, online loop of driver, simulation and mapper, and its log."""
 
 from __future__ import annotations
 
@@ -150,9 +150,9 @@ class Driver(Protocol):
         """Reason why nothing is left to drive; empty while there is."""
 
     def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
-        """Return the command for the next tick, by the pose in the driver's frame and the latest scan.
+        """Return the command for the next tick.
 
-        The time is in seconds since the robot began to drive.
+        The pose is in the driver's frame, the time in seconds since the robot began to drive.
         """
 
 
@@ -172,7 +172,7 @@ def drive(
     wall_limit: float | None = None,
     recorder: Recorder | None = None,
 ) -> Iterator[float]:
-    """Simulate, map and log scan by scan; yield the simulated time of each, from 0 on.
+    """Simulate, map and log scan by scan; yield the simulated time of each.
 
     The drive ends with its time, standing included, at the wall limit (wall seconds), with a failure or with
     the driver; the log says why. The recorder receives each mapped scan.
@@ -381,7 +381,7 @@ class DriveLog:
         return self.truth[0] if self.spatial else self.truth[0].to_pose2()
 
     def in_plane(self, T_map_base: Pose2 | Pose3) -> Pose2:
-        """Return an estimate projected on the plane, in the level map frame at the true start pose."""
+        """Return an estimate projected on the plane, in the level map frame."""
         if isinstance(T_map_base, Pose2):
             return T_map_base
         T_level_world = Pose3.from_pose2(self.truth[0].to_pose2().inverse())

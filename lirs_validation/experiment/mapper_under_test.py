@@ -1,6 +1,7 @@
-"""Mapper of a run or a log: ours in this process, foreign code in a process of its own.
+"""Mapper of a run or a log.
 
-Its answers are checked, and its failures become `MapperError`; foreign code reads copies of its inputs.
+Ours works in this process, foreign code in a process of its own, on copies of its inputs. Its answers are
+checked, and its failures become `MapperError`.
 """
 
 from __future__ import annotations
@@ -245,7 +246,7 @@ class LocalMapper:
         """Do nothing: there is nothing to release."""
 
     def _ask(self, part: str, kind: type[T], required: str) -> T:
-        """Return the result of a method, or the value of a property, of a required type."""
+        """Return the result of a method or property, of a required type."""
         try:
             value = getattr(self._mapper, part.removesuffix("()"))
             value = value() if part.endswith("()") else value
@@ -396,7 +397,7 @@ class MapperProcess:
         return value
 
     def _death(self) -> MapperError:
-        """Return the error of a process that has ended, with the last line that it wrote."""
+        """Return the error of a process that has ended, with its last line."""
         how = self._child.cause_of_death()
         memory = "; the system may have lacked memory" if how.endswith("SIGKILL") else ""
         last = ""

@@ -80,7 +80,7 @@ def sensor_errors(config: RunConfig) -> SensorErrors:
 
 @contextmanager
 def recording(config: RunConfig, out: Path, period: float) -> Iterator[Recording]:
-    """Record a drive's bag of the config's storage; its files are deleted unless they were moved."""
+    """Record a drive's bag; its files are deleted unless they were moved."""
     from lirs_wct.formats.rosbag.writer import BagWriter
 
     assert config.bag is not None

@@ -234,9 +234,10 @@ def prepare(
 
 
 def warm_up(config: RunConfig, simulation: Simulation, start: Pose2) -> None:
-    """Compile the kernels of simulation, explorer and mapper; one of your own compiles in its first scans.
+    """Compile the kernels of simulation, explorer and mapper.
 
-    The simulation is advanced by one scan, and is reset when the drive begins.
+    A mapper of your own compiles in its first scans. The simulation is advanced by one scan, and is reset when
+    the drive begins.
     """
     simulation.reset(start)
     with suppress(SimulationError):  # the drive reports it

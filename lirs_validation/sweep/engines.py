@@ -1,7 +1,7 @@
-"""Engines of a sweep: worker processes of this machine, or a Ray cluster; results do not depend on them.
+"""Engines of a sweep: worker processes of this machine, or a Ray cluster.
 
-A worker process does many jobs, and is replaced after a crash or a time limit. On a cluster only this process
-writes the results; a task whose worker dies is run again elsewhere, its result is written once.
+Results do not depend on them. A worker process does many jobs, and is replaced after a crash or a time limit.
+On a cluster only this process writes the results; a task whose worker dies is run again elsewhere.
 """
 
 from __future__ import annotations

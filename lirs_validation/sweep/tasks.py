@@ -1,4 +1,4 @@
-"""Tasks of a sweep: validation runs and collision validations, one by one, in suites and in files."""
+"""Tasks of a sweep: validation runs and collision validations, suites, and engines by option."""
 
 from __future__ import annotations
 

@@ -297,7 +297,7 @@ class CaseDrives:
 
     @property
     def count(self) -> int:
-        """Number of drives that the search has used, repetitions of earlier ones in the file included."""
+        """Number of drives so far, repetitions of earlier ones in the file included."""
         return self._archive.count
 
     def fails(self, score: DriveScore) -> bool:

@@ -179,7 +179,7 @@ class TwinPath:
 
 
 def place_log(mapped: MappedLog, usual: Sequence[int], real: LogComparison) -> TwinPath:
-    """Match all scans of a log to the map of all blocks, and cast their rays there."""
+    """Match all scans of a log to its map, and cast their rays there."""
     scans = [mapped.log.scans[k] for k in usual]
     odometry = [mapped.log.odometry[k] for k in usual]
     whole = replace(real.scans, block=2 * real.scans.block)  # All blocks are even.
