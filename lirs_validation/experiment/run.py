@@ -236,7 +236,7 @@ def prepare(
 def warm_up(config: RunConfig, simulation: Simulation, start: Pose2) -> None:
     """Compile the kernels of simulation, explorer and mapper.
 
-    A mapper of your own compiles in its first scans. The simulation is advanced by one scan, and is reset when
+    A mapper of your own compiles in its first scans. The simulation is advanced by one scan, and reset when
     the drive begins.
     """
     simulation.reset(start)
