@@ -138,7 +138,7 @@ def test_a_policy_that_fails_costs_its_own_episode(bench: Any, tmp_path: Path) -
         (("straight", "--data", "nowhere"), "nowhere: no such folder"),
         (("straight", "--parameters", "a=1"), "--parameters are for policies of your own"),
         (("my_policies:Ahead", "--parameters", "a"), "--parameters must be NAME=VALUE,NAME=VALUE,..."),
-        (("my_policies:Ahead", "--parameters", "a=1"), "takes no argument 'a'; it takes none"),
+        (("my_policies:Ahead", "--parameters", "a=1"), "takes no parameter 'a'; it takes none"),
         (("straight", "--jobs", "0"), "jobs must be at least 1"),
     ],
 )

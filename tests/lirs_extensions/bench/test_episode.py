@@ -135,7 +135,7 @@ def run(task: BenchTask, name: str, **arguments: str) -> tuple[Any, dict[str, An
         ("BadReset", "reset(info) raised KeyError: 'weights'"),
         (
             "Mute",
-            "policy 'their_policies:Mute': lacks reset(); a policy has reset(info) and act(observation)",
+            "policy 'their_policies:Mute': lacks reset(); a policy has reset(), act()",
         ),
         ("Unmade", "policy 'their_policies:Unmade': cannot be made: OSError: no weights"),
     ],
@@ -155,7 +155,7 @@ def test_a_policy_gets_what_it_takes() -> None:
     fast, _ = run(THERE, "their_policies:factory")
     assert slow.trace == fast.trace == ""
     assert slow.driven[20] < 0.3 * fast.driven[20]
-    with pytest.raises(ConfigError, match="takes no argument 'sped'; it takes action_space, seed, speed"):
+    with pytest.raises(ConfigError, match="takes no parameter 'sped'; it takes action_space, seed, speed"):
         PolicyChoice("their_policies:Ahead", (("sped", "1"),)).make(make_task_env(THERE, None, None), THERE)
     with pytest.raises(ConfigError, match="observe must be a list of groups, got 'scan'"):
         _ = PolicyChoice("their_policies:Blind").observe
