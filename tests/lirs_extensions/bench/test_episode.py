@@ -133,10 +133,7 @@ def run(task: BenchTask, name: str, **arguments: str) -> tuple[Any, dict[str, An
         ("Endless", "act(observation) must return 2 finite numbers in [-1, 1], got [nan, 0.0]"),
         ("Silent", "act(observation) must return 2 finite numbers in [-1, 1], got None"),
         ("BadReset", "reset(info) raised KeyError: 'weights'"),
-        (
-            "Mute",
-            "policy 'their_policies:Mute': lacks reset(); a policy has reset(), act()",
-        ),
+        ("Mute", "policy 'their_policies:Mute': lacks reset(); a policy has reset(), act()"),
         ("Unmade", "policy 'their_policies:Unmade': cannot be made: OSError: no weights"),
     ],
 )
