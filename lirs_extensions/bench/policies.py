@@ -25,15 +25,8 @@ from lirs_extensions.bench import UPPER_BOUND
 from lirs_extensions.bench.tasks import TASKS, BenchTask
 from lirs_validation.driving.choice import CLEARANCE, driver_config
 from lirs_validation.driving.frontier_route import ExplorationMap, FrontierRoute
-from lirs_validation.driving.path_driver import (
-    DriverConfig,
-    Frame,
-    Path as DrivenPath,
-    PathDriver,
-    Reach,
-    penalize_behind,
-    search,
-)
+from lirs_validation.driving.path_driver import DriverConfig, Frame, PathDriver
+from lirs_validation.driving.paths import Path as DrivenPath, Reach, penalize_behind, search
 from lirs_validation.driving.routes import FreeGround, WaypointRoute
 from lirs_validation.experiment.loading import check_members, make_own, own_class, own_source_file
 from lirs_wct import (

@@ -16,7 +16,8 @@ from lirs_envs.robots.robot import ROBOTS, Robot, Twist, clip, make_robot
 from lirs_envs.simulation_config import can_stand
 from lirs_validation.config import CLIENT, MANUAL, PRETRAINED, TOUR, RunConfig, driver_parts
 from lirs_validation.driving.frontier_route import FrontierRoute
-from lirs_validation.driving.path_driver import DriverConfig, Frame, PathDriver, PursuitConfig, area_round
+from lirs_validation.driving.path_driver import DriverConfig, Frame, PathDriver
+from lirs_validation.driving.paths import PursuitConfig, area_round
 from lirs_validation.driving.routes import TourRoute, WaypointRoute, check_waypoints
 from lirs_validation.record.run_record import read_record
 from lirs_wct import ConfigError, LaserScan, OccupancyGrid, Pose2, SourceError, World

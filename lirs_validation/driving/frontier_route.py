@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_validation.driving.path_driver import (
+from lirs_validation.driving.path_driver import DriverConfig, Frame
+from lirs_validation.driving.paths import (
     ARC,
     STRAIGHT,
     TURN,
-    DriverConfig,
-    Frame,
     Path,
     Reach,
     cells_ahead,

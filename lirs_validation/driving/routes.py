@@ -13,13 +13,12 @@ from pathlib import Path as File
 import cv2
 import numpy as np
 
-from lirs_validation.driving.path_driver import (
+from lirs_validation.driving.path_driver import DriverConfig, Frame
+from lirs_validation.driving.paths import (
     ARC,
     COMFORTABLE,
     STRAIGHT,
     TURN,
-    DriverConfig,
-    Frame,
     Path,
     PursuitConfig,
     Reach,
