@@ -3,26 +3,46 @@
 import math
 import re
 from dataclasses import replace
+from functools import cache
 from importlib.util import find_spec
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from lirs_envs.robots.robot import Twist, make_robot
+from lirs_envs.sensing.sensors import Observation, SensorNoise
+from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.metrics.trajectory import spatial_errors
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.pose import Pose3, Trajectory
 from lirs_wct.geometry.scan import PointCloud
+from lirs_wct.sources.build import build_world
 from slam_baselines import mapper as mappers
 from slam_baselines.kiss_icp import CloudOdometry, pose_at_start
 from slam_baselines.mapper import CLOUD_MAPPERS, CloudMapper, make_cloud_mapper, make_mapper, reads_clouds
-from tests.slam_baselines.sweeps import drive
 
 INSTALLED = [name for name, method in CLOUD_MAPPERS.items() if method.installed and not method.needs]
 SCANS = 80
 BOUNDS = {"kiss-icp": 0.20, "genz-icp": 0.08, "small-gicp": 0.02}
 """Meters over a drive of 4.6 m, which standing still would miss by 1.4."""
+
+
+@cache
+def drive(scans: int, *, rolling: bool = False) -> tuple[list[Observation], Trajectory]:
+    """Return what was read on an arc through `medium`, and the true poses in the first base frame."""
+    config = SimulationConfig(
+        robot=make_robot("husky"), lidar="vlp16", noise=SensorNoise(rolling_scan=rolling)
+    )
+    sim = Simulation(build_world("medium"), config, seed=1)
+    read, poses = [sim.reset()], [sim.pose()]
+    for _ in range(scans - 1):
+        read.append(sim.advance(Twist(0.6, 0.15)))
+        poses.append(sim.pose())
+    T_map_world: Pose3 = poses[0].inverse()
+    return read, Trajectory.from_poses([o.scan.stamp for o in read], poses).moved(T_map_world)
 
 
 def driven(mapper: CloudMapper, *, rolling: bool = False) -> CloudMapper:

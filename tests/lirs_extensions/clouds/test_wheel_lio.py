@@ -391,9 +391,6 @@ def test_the_same_sweeps_give_the_same_bytes() -> None:
     assert found[0].quaternions.tobytes() == found[1].quaternions.tobytes()
 
 
-def test_bad_parameters_and_missing_odometry_are_refused() -> None:
-    for wrong in ({"cell": 0.0}, {"weak": math.nan}, {"error": -1.0}):
-        with pytest.raises(ConfigError, match=r"of wheel_lio must be a finite number above 0"):
-            WheelLioConfig(**wrong)  # type: ignore[arg-type]
+def test_missing_odometry_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"wheel_lio needs odometry, the scan at 2.0 s has none"):
         WheelLioMapper(WheelLioConfig()).update(empty(2.0), Imu(), NO_READINGS, None)

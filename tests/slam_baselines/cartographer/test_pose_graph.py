@@ -132,20 +132,6 @@ def test_a_square_is_recovered(outliers):
     np.testing.assert_allclose(solution.nodes[0], 0, atol=1e-4)  # the gauge holds the first node
 
 
-def test_outliers_ruin_it_without_the_robust_kernel():
-    rng = np.random.default_rng(3)
-    nodes, _, per = square()
-    start = drifted(nodes, rng)
-    constraints = constraints_of(nodes, start, per, rng, 0.05)
-    least_squares = OptimizationProblem(CartographerConfig(cauchy_scale=1e6), constraints, NONE, np.zeros(3))
-    robust = OptimizationProblem(CartographerConfig(), constraints, NONE, np.zeros(3))
-    plain, resistant = (solved(p, start[::per], start) for p in (least_squares, robust))
-    half = len(nodes) // 2
-    assert rmse(plain.nodes[half:], plain.nodes[:half]) > 3 * rmse(
-        resistant.nodes[half:], resistant.nodes[:half]
-    )
-
-
 def test_the_step_solves_the_whole_system():
     """The Schur complement gives what the dense normal equations give."""
     rng = np.random.default_rng(5)

@@ -69,16 +69,6 @@ def test_writing_into_one_child_leaves_the_other() -> None:
     assert np.all(maps.patches.owners[np.unique(maps.tables[maps.tables != ABSENT])] >= 1)
 
 
-def test_patches_of_the_dead_are_used_again() -> None:
-    maps = PatchMaps(3, 0.05)
-    enter(maps, [(0, 0, 0), (0.5, 0, 0), (1, 0, 0)], a_circle(3.0))
-    for _ in range(20):
-        maps.descend(np.array([1, 1, 1]))
-        enter(maps, [(0, 0, 0), (0.5, 0, 0), (1, 0, 0)], a_circle(3.0))
-    assert maps.in_use <= np.count_nonzero(maps.tables != ABSENT)
-    assert len(maps.patches.owners) < 6 * np.count_nonzero(maps.tables[0] != ABSENT)
-
-
 def test_memory_grows_with_the_area_not_with_time() -> None:
     maps = PatchMaps(4, 0.05)
     distance_traveled = [(x, 0.0, 0.0) for x in np.arange(0, 20, 1.0)]
