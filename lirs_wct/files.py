@@ -261,10 +261,7 @@ def check_writable(folder: Path | None) -> None:
 
 @contextmanager
 def staged_files(folder: Path) -> Iterator[Path]:
-    """Yield a hidden folder whose files move into its parent when the block succeeds.
-
-    When the block raises, Ctrl-C included, the files in the folder stay unchanged.
-    """
+    """Yield a hidden folder whose files move into its parent when the block succeeds."""
     with scratch_folder(folder / "staged") as staged, _output_errors(folder, staged):
         yield staged
         _merge(staged, folder)

@@ -277,20 +277,14 @@ def _usual_config(name: str, n: int, parameters: Mapping[str, float]) -> LaserCo
 
 
 def _config(n: int, fov: float) -> LaserConfig:
-    """Spread beams over a field of view.
-
-    An even number of beams omits the last direction (180 beams: -90..+89 deg).
-    """
+    """Spread beams over a field of view; an even number omits the last direction (180: -90..+89 deg)."""
     return LaserConfig(-fov / 2, fov / max(n - n % 2, 1), math.inf)
 
 
 def _mount(
     name: str, messages: Sequence[Message], parameters: Mapping[str, float], repaired: Counter[str]
 ) -> Pose3:
-    """Return `T_base_laser` from the two logged poses, else from PARAM lines.
-
-    The poses are rounded; older logs hold one pose twice.
-    """
+    """Return `T_base_laser` from the two logged poses, which are rounded, else from PARAM lines."""
     mounts = [m.base.inverse() @ m.laser for m in messages if m.base is not None and m.laser is not None]
     mount = _steady_mount(mounts) if mounts else Pose2()
     if mount is None:

@@ -64,20 +64,14 @@ class RasterInfo:
 
 @dataclass(frozen=True, slots=True)
 class Raster:
-    """Pixels that hold or encode heights; row 0 is the northernmost if that is known.
-
-    They are (rows, cols) gray or (rows, cols, 3) BGR, in the file's data type.
-    """
+    """Pixels (rows, cols) gray or (rows, cols, 3) BGR that hold or encode heights; row 0 is north."""
 
     pixels: NDArray[Any]
     info: RasterInfo = field(default_factory=RasterInfo)
 
 
 def read_raster(path: Path, max_pixels: int = picture.MAX_PIXELS, *, sized: bool = False) -> Raster:
-    """Read the raster of a file; the format follows its content.
-
-    With `sized`, the caller knows the extent.
-    """
+    """Read the raster of a file by its content; with `sized`, the caller knows the extent."""
     head = first_bytes(path)
     pixels: NDArray[Any]
     if _ASCII_GRID.match(head):
@@ -138,10 +132,7 @@ def _read_by_gdal(path: Path, max_pixels: int, sized: bool) -> tuple[NDArray[Any
 
 
 def _info(path: Path, raster: limited.GdalRaster | None, pixels: NDArray[Any], sized: bool) -> RasterInfo:
-    """Return georeference and value conversion of a raster from GDAL's metadata, or a world file.
-
-    Values of a raster without extent have no unit of height.
-    """
+    """Return georeference and value conversion of a raster from GDAL's metadata, or a world file."""
     info = RasterInfo() if raster is None else RasterInfo(None, raster.nodata, raster.scale, raster.offset)
     affine = middle_of_pixels(raster.transform) if raster and raster.transform else _world_file(path)
     if affine is None:
@@ -183,10 +174,7 @@ def _georeference(
     info: RasterInfo,
     sized: bool,
 ) -> Georeference | None:
-    """Return the georeference of (rows, cols) pixels; None where only the caller knows the extent.
-
-    Without a system, the relief decides whether coordinates are degrees or meters.
-    """
+    """Return the georeference of (rows, cols) pixels; None where only the caller knows the extent."""
     sizes = math.hypot(affine[0], affine[3]), math.hypot(affine[1], affine[4])
     if not all(0 < size < math.inf for size in sizes):
         raise SourceError(f"{path}: pixels must be above 0, got {sizes[0]:g} x {sizes[1]:g}")
@@ -276,10 +264,7 @@ _KEY = re.compile("ncols|nrows|[xy]ll(corner|center)|cellsize|d[xy]|nodata_value
 
 
 def read_ascii_grid(path: Path, max_pixels: int, *, sized: bool) -> tuple[FloatArray, RasterInfo]:
-    """Read (rows, cols) heights of an ESRI ASCII grid and their metadata.
-
-    Row 0 is north. The format has a header of six lines, then heights in rows from the north.
-    """
+    """Read (rows, cols) heights of an ESRI ASCII grid and their metadata; row 0 is north."""
     try:
         lines = iter(read_text(path).splitlines())
         header, first = _header(path, lines)

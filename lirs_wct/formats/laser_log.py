@@ -270,10 +270,7 @@ MAX_DISAGREEMENT = 1.0
 
 
 def odometry_of(scans: Sequence[Message], odoms: Sequence[Message]) -> tuple[list[Pose2 | None], Trajectory]:
-    """Return `T_odom_base` of each scan, and the track of all odometry poses.
-
-    Constant odometry counts as none, since the robot may have moved.
-    """
+    """Return `T_odom_base` of each scan, and the track of all poses; constant odometry counts as none."""
     own, wheels = _track(scans), _track(odoms)
     if _moves(own) or (len(scans) == 1 and len(own)):
         return [m.base for m in scans], _add_wheel_poses(own, wheels)

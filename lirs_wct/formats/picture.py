@@ -173,10 +173,7 @@ def check_size(path: Path, w: int, h: int, max_pixels: int) -> None:
 
 
 def write_image(path: Path, pixels: ByteArray) -> None:
-    """Write an 8-bit picture, gray or BGR; create missing parent folders.
-
-    OpenCV encodes and Python writes, since `cv2.imwrite` reports no reason when it cannot write.
-    """
+    """Write an 8-bit picture, gray or BGR; OpenCV only encodes, since its writer reports no reason."""
     try:
         done, data = cv2.imencode(path.suffix, pixels)
     except cv2.error as error:

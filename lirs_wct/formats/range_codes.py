@@ -165,10 +165,7 @@ def _exact_code(ranges: Float32Array) -> float | None:
 
 
 def _noisy_maximum(ranges: Float32Array, range_max: float) -> float:
-    """Return the least reading that is range_max with noise, meters; else FARTHEST.
-
-    They come in most scans, and the histogram is much denser there than in the meter below.
-    """
+    """Return the least reading of most scans that is range_max with noise, meters; else FARTHEST."""
     width = max(NOISE_CENTIMETERS, round(100 * MAX_DISTANCE_SHARE * range_max))
     middle = round(100 * range_max)
     inside = (ranges > 0) & (ranges < range_max + width / 100)

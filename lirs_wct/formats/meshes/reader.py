@@ -63,10 +63,7 @@ def upright(path: Path, mesh: TriangleMesh, up: Literal["y", "z"] | None = None)
 
 
 def read_mesh(path: Path) -> TriangleMesh:
-    """Read a mesh file in its own frame, equal vertices merged.
-
-    Warns of parts that are left out or simplified.
-    """
+    """Read a mesh file in its own frame, equal vertices merged; warn of parts that are left out."""
     document = read_document(path)
     for note in dict.fromkeys(document.notes):
         warnings.warn(f"{path}: {note}", stacklevel=3)

@@ -130,10 +130,7 @@ class Frames:
         ], chain[top]
 
     def mounts(self, base: str, frame: str, stamps: Sequence[float]) -> list[Pose3] | None:
-        """Return `T_base_frame` at each stamp; None if no transforms connect the two.
-
-        Transforms that change are interpolated. Constant ones give one pose.
-        """
+        """Return `T_base_frame` at each stamp, interpolated; None if no transforms connect the two."""
         up, down = self.chain(frame.lstrip("/")), self.chain(base)
         common = next((name for name in up if name in down), None)
         if common is None:
@@ -151,10 +148,7 @@ class Frames:
         return names
 
     def trajectory(self, frame: str) -> Trajectory:
-        """Return `T_top_frame` in the topmost ancestor at the stamps of the lowest moving frame.
-
-        Poses of frames above it are interpolated, as in tf2.
-        """
+        """Return `T_top_frame` at the stamps of the lowest moving frame; others interpolated as in tf2."""
         chain = self.chain(frame)[:-1]
         moving = [stamps for stamps, _ in map(self._edge, chain) if len(stamps) > 1]
         if not moving:

@@ -171,10 +171,7 @@ def laser_scan(scan: LaserScan, period: float) -> bytearray:
 
 
 def point_cloud(cloud: PointCloud) -> bytearray:
-    """Return `sensor_msgs/PointCloud2` in the laser's frame; times count from the stamp.
-
-    An organized cloud has a row per ring, any other one row.
-    """
+    """Return `sensor_msgs/PointCloud2` in the laser's frame; an organized cloud has a row per ring."""
     organized = cloud.column is not None
     points = cloud.organized() if organized else cloud.records()[None]
     (rows, columns), step = points.shape, POINT.itemsize

@@ -189,11 +189,7 @@ class Bag:
 def _decoder(
     definition: MessageDefinition, kind: str, ros1: bool
 ) -> Callable[[bytes | memoryview], Any] | None:
-    """Return the decoder of a type by the bag's definition, else by Jazzy's.
-
-    The definition states the layout of the bytes, also where the recorded hash of the type differs. A
-    definition that cannot be parsed has no decoder.
-    """
+    """Return the decoder of a type by the bag's definition, else by Jazzy's; None for a damaged one."""
     try:
         store = get_typestore(Stores.EMPTY if definition.data else Stores.ROS2_JAZZY)
         if definition.format == MessageDefinitionFormat.MSG:

@@ -101,10 +101,7 @@ MAX_REVOLUTION = 10.0
 
 
 def records_of(message: Any) -> NDArray[Any] | None:
-    """Return the points (height, width) as records by field name; None without legal x, y, z.
-
-    The ends of rows may be padded.
-    """
+    """Return the points (height, width) as records by field name; None without legal x, y, z."""
     m = message
     kinds = {f.name: (f.datatype, f.offset) for f in m.fields if f.name in FIELDS and f.datatype in TYPES}
     fields = {name: ("<>"[m.is_bigendian] + TYPES[kind], at) for name, (kind, at) in kinds.items()}
@@ -178,10 +175,7 @@ class BagClouds:
 
 
 def _cloud(records: NDArray[Any], header: float, stamp: float, T_base_laser: Pose3) -> PointCloud:
-    """Build a cloud of the valid points: finite, and not at the sensor's origin.
-
-    Drivers place missing returns at the origin.
-    """
+    """Build a cloud of the finite points off the origin, where drivers place missing returns."""
     time = times_of(records, header) - start_of(records, header)
     known = records.dtype.names or ()
     ring = records["ring"] if "ring" in known else np.zeros(records.shape)
