@@ -205,15 +205,6 @@ def at(k: int) -> Pose2:
     return Pose2(0.5 * k, 0.0, 0.1 * k)
 
 
-def test_several_codes_are_all_found() -> None:
-    rng = np.random.default_rng(3)
-    ranges = rng.uniform(0.5, 7.0, (50, 181)).astype(np.float32)
-    codes = rng.random(ranges.shape)
-    ranges[codes > 0.9] = 8.19
-    ranges[codes > 0.97] = 8.18
-    assert no_return(ranges) == pytest.approx(8.175)
-
-
 # ---- codes, mounts and limits by hand
 
 
@@ -433,15 +424,6 @@ def test_what_is_no_log_says_so_in_one_line(tmp_path: Path, case: str) -> None:
     with refused(f"{path}: ", expected) as told:
         read_carmen(path)
     assert len(str(told.value)) < len(str(path)) + 400
-
-
-@pytest.mark.shared
-def test_no_file_that_is_no_log_is_taken_for_one(shared_data: Path) -> None:
-    files = [p for kind in ("broken", "textures") for p in sorted((shared_data / kind).iterdir())]
-    assert len(files) > 20
-    for path in files:
-        with refused(f"{path}: "):
-            read_carmen(path)
 
 
 MOUNT = Pose3.from_rpy(0.22, -0.05, 0.4, 0.0, 0.0, 0.3)

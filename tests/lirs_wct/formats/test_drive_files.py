@@ -116,8 +116,3 @@ def test_a_damaged_file_is_refused_in_one_line(name: str, data: bytes, reason: s
     path.write_bytes(data)
     with refused(f"{path}: ", reason):
         READERS[name](path)
-
-
-def test_one_pose_is_a_trajectory(tmp_path: Path) -> None:
-    (tmp_path / "t.tum").write_bytes(POSE)
-    assert len(read_tum(tmp_path / "t.tum")) == 1

@@ -306,13 +306,6 @@ def test_transparent_is_unknown_and_the_older_rule_is_told(tmp_path: Path) -> No
     assert "; 72 and 120 in Humble and ROS 1" in str(caught[0].message)
 
 
-def test_no_word_where_both_rules_agree(tmp_path: Path) -> None:
-    with warnings.catch_warnings(action="error"):
-        assert a_framed_map(tmp_path, "", (255, 255, 255, 0)).occupied.sum() == 8
-        assert a_framed_map(tmp_path, "mode: raw\n", (0, 0, 0, 0)).free.sum() == 72
-        assert a_framed_map(tmp_path, "mode: scale\n", (0, 0, 0, 0)).occupied.sum() == 8
-
-
 def test_free_wins_where_thresholds_cross(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "m.png"), np.array([[0, 10, 100, 255]] * 2, np.uint8))
     (tmp_path / "m.yaml").write_text(
@@ -320,20 +313,6 @@ def test_free_wins_where_thresholds_cross(tmp_path: Path) -> None:
     )
     with pytest.warns(UserWarning, match=r"m\.yaml: occupied_thresh 0\.1 is below free_thresh 0\.9"):
         assert states(read_map(tmp_path / "m.yaml")) == [["#", "#", ".", "."]] * 2
-
-
-def test_what_a_yaml_leaves_out(tmp_path: Path) -> None:
-    read = read_text("image: m.pgm\nresolution: 0.5\norigin: [1, 2]\n", tmp_path)
-    assert read == MapMetadata(
-        image=tmp_path / "m.pgm",
-        resolution=0.5,
-        origin=Pose2(1.0, 2.0, 0.0),
-        occupied_thresh=0.65,
-        free_thresh=0.196,
-        negate=False,
-        mode="trinary",
-    )
-    assert read_text("image: m.pgm\nresolution: 0.5\norigin: [1, 2]\nnegate: true\n", tmp_path).negate
 
 
 def test_a_map_is_written_pixel_by_pixel(tmp_path: Path) -> None:

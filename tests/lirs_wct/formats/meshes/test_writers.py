@@ -6,7 +6,6 @@ from pathlib import Path
 import collada
 import numpy as np
 import pytest
-import trimesh
 from scipy.spatial import cKDTree
 
 from lirs_wct.errors import ConfigError
@@ -42,18 +41,6 @@ def writer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
     if request.param == "brief":
         monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", 0)
     return str(request.param)
-
-
-def test_closed_and_unmoved(tmp_path: Path) -> None:
-    mesh = hills()
-    write_mesh(tmp_path / "a.dae", mesh)
-    again = trimesh.load(tmp_path / "a.dae", force="mesh")
-    assert len(again.faces) == len(mesh.faces)
-    joined = trimesh.Trimesh(again.vertices, again.faces)
-    joined.merge_vertices(merge_tex=True, merge_norm=True)
-    assert joined.is_watertight
-    assert joined.volume == pytest.approx(mesh.volume, rel=1e-5)
-    np.testing.assert_allclose(again.bounds, mesh.bounds, atol=1e-4)
 
 
 def test_axis_unit_material_and_inputs(tmp_path: Path) -> None:
