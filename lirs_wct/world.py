@@ -277,7 +277,7 @@ class World(ShownAsPicture):
         """
         folder = Path(folder)
         path = folder / JSON
-        with checked_content(folder):
+        with _checked_content(folder):
             entry = json.loads(path.read_text(encoding="utf-8"))
             if entry["schema"] != SCHEMA:
                 raise SourceError(f"{path}: schema {entry['schema']}, this version reads {SCHEMA}")
@@ -301,7 +301,7 @@ class World(ShownAsPicture):
 
 
 @contextmanager
-def checked_content(folder: Path) -> Iterator[None]:
+def _checked_content(folder: Path) -> Iterator[None]:
     """Convert errors from missing or damaged files of a world to SourceError."""
     try:
         yield
@@ -311,7 +311,7 @@ def checked_content(folder: Path) -> Iterator[None]:
 
 def recorded_source(folder: Path) -> str | None:
     """Return the source of the world in a folder; None = unknown."""
-    with checked_content(folder):
+    with _checked_content(folder):
         source: str | None = json.loads((folder / JSON).read_text(encoding="utf-8")).get("source")
         return source
 

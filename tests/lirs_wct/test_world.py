@@ -1,7 +1,8 @@
 """A source becomes a world, and a folder gives the same world back."""
 
 import json
-from dataclasses import asdict
+import zipfile
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import cv2
@@ -79,6 +80,46 @@ def test_every_kind_of_ground_reads_back(tmp_path: Path) -> None:
         assert (loaded.spawn_poses, loaded.export_options) == (world.spawn_poses, world.export_options)
 
 
+SURFACE = HeightField(
+    np.random.default_rng(4).normal(size=(3, 4)).astype(np.float32), (0.5, 0.25), (-7.0, 3.0)
+)
+SOLID = np.array([[True, False, False], [False, False, True]])
+WALLS = WallGrid(SOLID, 0.125, Pose2(1.0, -2.0, 0.5), 1.75, ~SOLID)
+
+
+def test_what_every_world_has(tmp_path: Path) -> None:
+    poses = (Pose2(1.0, 2.0, 3.0), Pose2(-4.0, 5.5, -0.5))
+    world = World("a place", Terrain(SURFACE, None, 2.5), poses, "by hand", start=poses[1], spawn_for="husky")
+    assert world.save(tmp_path) == tmp_path
+    found = World.load(tmp_path)
+    np.testing.assert_array_equal(found.surface.z, SURFACE.z)
+    assert (found.surface.cell, found.surface.origin) == (SURFACE.cell, SURFACE.origin)
+    assert replace(found, ground=world.ground) == world
+    assert found.ground.sample_spacing == 2.5
+
+
+def test_the_texture_is_kept_beside_the_world(tmp_path: Path) -> None:
+    picture = tmp_path / "my grass.PNG"
+    picture.write_bytes(b"a picture")
+    folder = (
+        World("a place", Terrain(SURFACE))
+        .with_export(ExportOptions(texture=picture, max_error=0.5))
+        .save(tmp_path / "out")
+    )
+    kept = tmp_path / "out" / "materials" / "textures" / "a place.png"
+    assert World.load(folder).export_options == ExportOptions(texture=kept, max_error=0.5)
+    assert kept.read_bytes() == b"a picture"
+
+
+def test_heights_are_stored_and_the_rest_is_compressed(tmp_path: Path) -> None:
+    World("a map", LaserMap(SURFACE, WALLS)).save(tmp_path)
+    with zipfile.ZipFile(tmp_path / "world.npz") as file:
+        kinds = {entry.filename: entry.compress_type for entry in file.infolist()}
+    assert kinds.pop("surface.npy") == zipfile.ZIP_STORED
+    assert set(kinds) == {f"{name}.npy" for name in ("walls", "hole")}
+    assert set(kinds.values()) == {zipfile.ZIP_DEFLATED}
+
+
 def test_damaged_folders_are_named(picture: Path, tmp_path: Path) -> None:
     folder = build_world(picture).save(tmp_path / "w")
     entry = json.loads((folder / "world.json").read_text())
@@ -89,6 +130,7 @@ def test_damaged_folders_are_named(picture: Path, tmp_path: Path) -> None:
         "{}",
         json.dumps(entry | {"schema": 99}),
         json.dumps(entry | {"surface": {}}),
+        json.dumps(entry | {"surface": entry["surface"] | {"cell": [1e300, 0.25]}}),
         json.dumps(entry | {"finish": {"max_error": -1.0}}),
         json.dumps(entry | {"finish": {"polish": 1}}),
     ):
