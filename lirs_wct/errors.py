@@ -217,12 +217,7 @@ def of_type(kind: type | UnionType) -> Check:
 def require_within(config: Any, legal: str, *names: str, of: str = "", unit: str = "") -> None:
     """Raise ConfigError unless every named field lies in an interval that only its dataclass knows.
 
-    Args:
-        config: the dataclass.
-        legal: interval (see `within`).
-        *names: names of its fields.
-        of: name of the owner in messages, such as "the motion filter".
-        unit: unit of the values.
+    The owner in messages is a text such as "the motion filter".
     """
     check = within(legal, unit)
     for name in names:

@@ -135,11 +135,6 @@ def messages_of(name: str, lines: Sequence[tuple[int, str]], skipped: Counter[st
     return messages
 
 
-def _odom(tokens: list[str], line: int) -> Message:
-    """`ODOM x y theta tv rv accel stamp`."""
-    return Message(line, _stamp(tokens, 7), _pose(tokens[1:4]))
-
-
 def _old_laser(tokens: list[str], line: int) -> Message:
     """`FLASER n r... x y theta odom_x odom_y odom_theta stamp`: the laser's pose and the base's."""
     n = _count(tokens[1])
@@ -192,7 +187,8 @@ def _ranges(tokens: list[str]) -> Float32Array:
 
 
 PARSERS: dict[str, Callable[[list[str], int], Message]] = {
-    "ODOM": _odom,
+    # ODOM x y theta tv rv accel stamp
+    "ODOM": lambda tokens, line: Message(line, _stamp(tokens, 7), _pose(tokens[1:4])),
     "FLASER": _old_laser,
     "RLASER": _old_laser,
     **dict.fromkeys(("ROBOTLASER1", "ROBOTLASER2", "RAWLASER1", "RAWLASER2"), _new_laser),

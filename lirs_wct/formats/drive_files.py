@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write, read_text, readable_lines, write_gzipped
+from lirs_wct.formats import MAPS
 from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.geometry import FloatArray, Imu, LaserScan, Pose2, Pose3, Trajectory
 
@@ -181,9 +182,16 @@ def read_waypoints(path: Path) -> tuple[RoutePoint, ...]:
     `{x: ..., y: ..., yaw: ...}`, plain or under `waypoints:`. At least two are needed.
     """
     text = read_text(path)
-    is_yaml = path.suffix.lower() in (".yaml", ".yml")
+    lines = [line.partition("#")[0].replace(",", " ").split() for line in text.splitlines()]
+    entries: list[tuple[str, Any]] = [
+        (f"line {number}", words) for number, words in enumerate(lines, 1) if words
+    ]
+    if path.suffix.lower() in MAPS:
+        entries = _yaml_entries(path, text)
+    elif entries and [word.lower() for word in entries[0][1]] in (NAMES, NAMES[:2]):
+        del entries[0]
     waypoints = []
-    for place, values in _yaml_entries(path, text) if is_yaml else _text_entries(text):
+    for place, values in entries:
         numbers = _finite(values) if isinstance(values, list) else []
         if len(numbers) not in (2, 3) or len(numbers) != len(values):
             raise SourceError(
@@ -195,14 +203,6 @@ def read_waypoints(path: Path) -> tuple[RoutePoint, ...]:
             f"{path}: at least 2 waypoints are needed, the first is the start; got {len(waypoints)}"
         )
     return tuple(waypoints)
-
-
-def _text_entries(text: str) -> list[tuple[str, list[str]]]:
-    """Return the line name and the words of each waypoint."""
-    lines = [line.partition("#")[0].replace(",", " ").split() for line in text.splitlines()]
-    entries = [(f"line {number}", words) for number, words in enumerate(lines, 1) if words]
-    has_heading = entries and [word.lower() for word in entries[0][1]] in (NAMES, NAMES[:2])
-    return entries[1:] if has_heading else entries
 
 
 def _yaml_entries(path: Path, text: str) -> list[tuple[str, Any]]:

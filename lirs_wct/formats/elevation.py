@@ -138,21 +138,14 @@ def _info(path: Path, raster: limited.GdalRaster | None, pixels: NDArray[Any], s
     if affine is None:
         return info
     system, unit = system_of_wkt(raster.wkt) if raster and raster.wkt else (None, None)
-    unit = _named_unit(path, raster.unit if raster else "") or unit
+    if name := raster.unit.strip() if raster else "":
+        american = re.sub("tre(s?)$", r"ter\1", name.lower())
+        unit = next((meters for meters, names in UNITS.items() if american in names), None)
+        if unit is None:
+            warnings.warn(f"{path}: its values are in {name!r}, which is taken for meters", stacklevel=4)
+            unit = 1.0
     info = replace(info, unit=height_unit(path, system or CoordinateSystem(), unit))
     return replace(info, georeference=_georeference(path, system, affine, pixels, info, sized))
-
-
-def _named_unit(path: Path, name: str) -> float | None:
-    """Return meters per unit of height by its name; warn of an unknown one."""
-    american = re.sub("tre(s?)$", r"ter\1", name.strip().lower())
-    for meters, names in UNITS.items():
-        if american in names:
-            return meters
-    if not name.strip():
-        return None
-    warnings.warn(f"{path}: its values are in {name.strip()!r}, which is taken for meters", stacklevel=5)
-    return 1.0
 
 
 def height_unit(path: Path, system: CoordinateSystem, vertical: float | None) -> float:

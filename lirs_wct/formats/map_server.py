@@ -98,10 +98,15 @@ def read_metadata(path: Path) -> MapMetadata:
         missing = [key for key in ("image", "resolution", "origin") if key not in entry]
         if missing:
             raise ValueError(f"a map needs image, resolution and origin, this has no {', '.join(missing)}")
+        origin: list[float] = []
+        with suppress(ValueError):
+            origin = [float(item) for item in entry["origin"] if isinstance(entry["origin"], list)]
+        if len(origin) not in (2, 3) or not all(map(math.isfinite, origin)):
+            raise ValueError(f"origin must be [x, y, yaw], got {entry['origin']!r}")
         return MapMetadata(
             image=path.parent / str(entry["image"]),
             resolution=_number(entry, "resolution", math.nan),
-            origin=_origin(entry),
+            origin=Pose2(*origin),
             occupied_thresh=_number(entry, "occupied_thresh", OCCUPIED),
             free_thresh=_number(entry, "free_thresh", WRITTEN_FREE),
             negate=bool(_number(entry, "negate", 0.0)),
@@ -146,8 +151,6 @@ def _grid(metadata: MapMetadata, max_pixels: int) -> OccupancyGrid:
         grid = replace(grid, log_odds=grid.log_odds[0][level])
     if pixels.shape[2:] == (4,) and metadata.mode != "raw":
         grid.log_odds[pixels[..., 3] < full] = np.nan
-    if pixels.ndim == 3 and metadata.mode == "trinary":
-        _warn_of_averages(metadata, pixels.mean(axis=2) / full, grid)
     return grid
 
 
@@ -164,20 +167,6 @@ def _probability(shade: FloatArray, metadata: MapMetadata) -> FloatArray:
     between = (p - metadata.free_thresh) / span if scaled else np.full(p.shape, np.nan)
     known = np.where(single >= np.float32(metadata.occupied_thresh), 1.0, between)
     return np.where(single <= np.float32(metadata.free_thresh), 0.0, known)
-
-
-def _warn_of_averages(metadata: MapMetadata, shade: FloatArray, grid: OccupancyGrid) -> None:
-    """Warn where the older rule, the mean of all channels with alpha, differs."""
-    p = shade if metadata.negate else 1 - shade
-    occupied = p > metadata.occupied_thresh
-    free = (p < metadata.free_thresh) & ~occupied
-    if (occupied != grid.occupied).any() or (free != grid.free).any():
-        warnings.warn(
-            f"{metadata.image}: {grid.occupied.sum():,} occupied and {grid.free.sum():,} free cells, as in "
-            f"nav2 since Jazzy (transparent is unknown); {occupied.sum():,} and {free.sum():,} in Humble and "
-            "ROS 1, which average alpha with the colors",
-            stacklevel=4,
-        )
 
 
 def map_entries(path: Path, content: bytes) -> dict[str, Entry]:
@@ -212,13 +201,3 @@ def _number(entry: dict[str, Entry], key: str, default: float) -> float:
         with suppress(ValueError):
             return float(words.get(value.lower(), value))
     raise ValueError(f"{key} must be a number, got {value!r}")
-
-
-def _origin(entry: dict[str, Entry]) -> Pose2:
-    value = entry["origin"]
-    numbers: list[float] = []
-    with suppress(ValueError):
-        numbers = [float(item) for item in value if isinstance(value, list)]
-    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"origin must be [x, y, yaw], got {value!r}")
-    return Pose2(*numbers)

@@ -172,7 +172,14 @@ def _write_faces(
     passed: Callable[[int], None],
 ) -> None:
     """Write the faces of a part whose vertices follow `before` others."""
-    quads, triangles = _join_quads(part.mesh.faces) if brief else (part.mesh.faces[:0], part.mesh.faces)
+    triangles = part.mesh.faces
+    quads = triangles[:0]
+    if brief:  # consecutive triangles (abc, bdc) become quads
+        pairs = triangles[: len(triangles) // 2 * 2].reshape(-1, 2, 3)
+        first, second = pairs[:, 0], pairs[:, 1]
+        cell = (first[:, 1] == second[:, 0]) & (first[:, 2] == second[:, 2])
+        quads = np.column_stack((second[cell], first[cell, 0]))
+        triangles = np.concatenate((pairs[~cell].reshape(-1, 3), triangles[2 * len(pairs) :]))
     kind, count = ("polylist" if len(quads) else "triangles"), len(quads) + len(triangles)
     file.write(_FACES.format(kind=kind, count=count, name=part.name).encode())
     if len(quads):
@@ -185,15 +192,6 @@ def _write_faces(
             file.write(fixed_text(rows, 0))
             passed(each * len(chunk))
     file.write(f"</p></{kind}>\n".encode())
-
-
-def _join_quads(faces: Int32Array) -> tuple[Int32Array, Int32Array]:
-    """Join consecutive triangles (abc, bdc) to quads (n, 4); return quads and other triangles."""
-    pairs = faces[: len(faces) // 2 * 2].reshape(-1, 2, 3)
-    first, second = pairs[:, 0], pairs[:, 1]
-    cell = (first[:, 1] == second[:, 0]) & (first[:, 2] == second[:, 2])
-    quads = np.column_stack((second[cell], first[cell, 0]))
-    return quads, np.concatenate((pairs[~cell].reshape(-1, 3), faces[2 * len(pairs) :]))
 
 
 def _head(parts: Sequence[MeshPart]) -> str:

@@ -86,11 +86,20 @@ class BagWriter:
 
     def _write(self, topic: str, stamp: float, message: bytearray) -> None:
         if topic not in self._connections:
+            latched, never = topic in topics.LATCHED, QosTime(0, 0)
+            quality = Qos(
+                QosHistory.KEEP_LAST,
+                1 if latched else 10,
+                QosReliability.RELIABLE,
+                QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+                never,
+                never,
+                QosLiveliness.AUTOMATIC,
+                never,
+                False,
+            )
             self._connections[topic] = self._writer.add_connection(
-                topic,
-                topics.TOPICS[topic],
-                typestore=self._store,
-                offered_qos_profiles=[_qos(topic in topics.LATCHED)],
+                topic, topics.TOPICS[topic], typestore=self._store, offered_qos_profiles=[quality]
             )
         self._writer.write(self._connections[topic], messages.nanoseconds(stamp), memoryview(message))
 
@@ -117,19 +126,3 @@ def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
         for file in inner.iterdir():
             file.rename(temporary / file.name)
         inner.rmdir()
-
-
-def _qos(latched: bool) -> Qos:
-    """Return the publisher's quality of service: reliable, and transient local if latched."""
-    never = QosTime(0, 0)
-    return Qos(
-        QosHistory.KEEP_LAST,
-        1 if latched else 10,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
-        never,
-        never,
-        QosLiveliness.AUTOMATIC,
-        never,
-        False,
-    )

@@ -291,21 +291,6 @@ def test_any_white_of_a_tiff(tmp_path: Path, profile: dict[str, Any]) -> None:
     assert states(read_map_picture(tmp_path / "m.tif", 0.1)) == [first] + [["#", "?", "?", "."]] * 2
 
 
-def a_framed_map(folder: Path, keys: str, outside: tuple[int, int, int, int]) -> OccupancyGrid:
-    pixels = np.full((12, 16, 4), 255, np.uint8)
-    pixels[:4] = outside
-    pixels[5, 2:10] = (0, 0, 0, 255)
-    return a_map(folder, pixels, keys)
-
-
-def test_transparent_is_unknown_and_the_older_rule_is_told(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match="in Humble and ROS 1") as caught:
-        grid = a_framed_map(tmp_path, "", (0, 0, 0, 0))
-    assert [len(caught), grid.occupied.sum(), grid.free.sum(), (~grid.known).sum()] == [1, 8, 120, 64]
-    assert str(caught[0].message).startswith(f"{tmp_path / 'm.png'}: 8 occupied and 120 free cells")
-    assert "; 72 and 120 in Humble and ROS 1" in str(caught[0].message)
-
-
 def test_free_wins_where_thresholds_cross(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "m.png"), np.array([[0, 10, 100, 255]] * 2, np.uint8))
     (tmp_path / "m.yaml").write_text(
