@@ -21,16 +21,6 @@ def listing(folder: Path) -> list[str]:
     return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*"))
 
 
-def test_a_file_appears_when_the_block_ends(tmp_path: Path) -> None:
-    target = tmp_path / "deep" / "map.pgm"
-    with atomic_write(target) as temporary:
-        assert temporary.suffix == ".pgm"
-        temporary.write_text("new")
-        assert not target.exists()
-    assert target.read_text() == "new"
-    assert listing(tmp_path) == ["deep", "deep/map.pgm"]
-
-
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 @pytest.mark.parametrize("write", [atomic_write, atomic_folder, staged_files])
 def test_a_write_that_is_broken_off_leaves_the_old_files(

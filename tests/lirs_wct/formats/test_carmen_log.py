@@ -13,7 +13,6 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen_log import messages_of, read_carmen
 from lirs_wct.formats.drive_files import write_scans
 from lirs_wct.formats.laser_log import LaserConfig, LaserLog, Message
-from lirs_wct.formats.range_codes import no_return
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 from tests.kit import refused
@@ -205,24 +204,6 @@ def at(k: int) -> Pose2:
     return Pose2(0.5 * k, 0.0, 0.1 * k)
 
 
-# ---- codes, mounts and limits by hand
-
-
-def ranges(scans: int, beams: int, most: float = 7.0) -> np.ndarray:
-    return np.random.default_rng(9).uniform(0.5, most, (scans, beams)).astype(np.float32)
-
-
-def test_readings_that_are_none_are_no_code() -> None:
-    r = ranges(50, 100)
-    for value in (0.0, 0.019, 50.0, 81.83, math.inf, math.nan, -5.0):
-        codes = r.copy()
-        codes[:, ::3] = value
-        assert no_return(codes) == 50.0
-    codes[:, ::3] = 49.99
-    assert no_return(codes) == pytest.approx(49.985)
-    assert no_return(np.zeros((3, 4), np.float32)) == 50.0
-
-
 @pytest.mark.parametrize(
     ("value", "meaning"),
     [
@@ -305,21 +286,6 @@ def test_the_mount_is_where_the_laser_follows_the_base(tmp_path: Path, mount: Po
     expected = Pose3.from_pose2(mount) if known else Pose3()
     assert (found.x, found.y, found.z) == pytest.approx((expected.x, expected.y, 0.0), abs=5e-6)
     assert math.remainder(found.yaw - expected.yaw, math.tau) == pytest.approx(0.0, abs=5e-6)
-
-
-@pytest.mark.parametrize(("spread", "steady"), [(0.045, True), (0.055, False)])
-def test_a_mount_that_differs_by_five_centimeters_is_none(
-    tmp_path: Path, spread: float, steady: bool
-) -> None:
-    """Half of the poses differ from the median one, to either side."""
-    lines = []
-    for k in range(15):
-        mount = Pose2(0.4 + (0.0, spread, -spread, spread, -spread)[k % 5], -0.3, 0.7)
-        lines.append(robotlaser(1.0 + k, base=at(k), laser=at(k) @ mount))
-    log = read_carmen(write_log(tmp_path / "x.clf", lines))
-    mounted = log.scans[0].T_base_laser
-    assert (mounted.x, mounted.y) == (pytest.approx((0.4, -0.3), abs=1e-5) if steady else (0.0, 0.0))
-    assert list(log.repaired.values()) == ([] if steady else [15])
 
 
 @pytest.mark.parametrize(

@@ -97,23 +97,6 @@ def check_corners(found: np.ndarray, mesh: TriangleMesh) -> None:
     np.testing.assert_allclose(found[:, :, plain], turned[where][:, :, plain], atol=6e-4)
 
 
-def test_bytes_count_in_large_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Indices are most of a file: a grid's cells are quads, and equal normals one."""
-    rows, cols = np.mgrid[:90, :120]
-    smooth = solid_mesh(
-        HeightField.centered((np.sin(rows / 9) + np.cos(cols / 9)).astype(np.float32), (1, 1))
-    )
-    monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", len(smooth.faces))
-    write_mesh(tmp_path / "a.dae", smooth)
-    monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", 0)
-    write_mesh(tmp_path / "b.dae", smooth)
-    (shape,) = collada.Collada(str(tmp_path / "b.dae")).geometries
-    (polygons,) = shape.primitives
-    assert (polygons.vcounts == 4).sum() == 89 * 119
-    assert len(np.unique(polygons.normal, axis=0)) == len(polygons.normal)
-    assert (tmp_path / "b.dae").stat().st_size < 0.75 * (tmp_path / "a.dae").stat().st_size
-
-
 def test_positions_are_exact_as_float32(tmp_path: Path) -> None:
     """On rough ground a tenth of a millimeter sideways is many times that in height."""
     z = np.random.default_rng(2).random((40, 50)).astype(np.float32)
