@@ -49,7 +49,6 @@ class RasterInfo:
     """Georeference and value conversion of a raster.
 
     Attributes:
-        georeference: Place of the pixels; None = unknown.
         nodata: Value of pixels without height, which may be NaN; None = not declared.
         scale: height = scale value + offset, in units of height.
         unit: Meters per unit of height; None if the values are not heights.

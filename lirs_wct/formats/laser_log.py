@@ -117,7 +117,6 @@ class LogTopic:
     """Messages of one topic, or of one name in a CARMEN log.
 
     Attributes:
-        name: Name of the topic.
         frames: Frames of its messages; of poses "parent -> child".
         stamps: (n,) Stamps in the order of the log, seconds.
         received: (n,) Times of reception, seconds; empty where unknown.

@@ -93,13 +93,8 @@ class GdalRaster:
 
     Attributes:
         bands: Number of bands without alpha.
-        white: Value of white.
-        pages: Number of pictures in the file.
-        nodata: Value of pixels without a height.
         scale: height = scale value + offset.
-        unit: Name of the heights' unit, or empty.
         transform: Affine of the pixels' corners in rasterio's order.
-        wkt: Coordinate system as WKT, or empty.
         pixels: (rows, cols) First band, NaN where a mask hides it, or (rows, cols, 3 or 4) BGR(A) of colors;
             None if there are too many pixels.
     """

@@ -138,7 +138,6 @@ class Bag:
     """An open bag.
 
     Attributes:
-        path: Path of the bag, as the user gave it.
         kinds: Type of each topic.
         faults: Damaged or missing parts; reading messages may add some.
         undecoded: Count of messages that could not be decoded, by topic.
