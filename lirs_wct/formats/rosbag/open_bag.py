@@ -55,6 +55,7 @@ class McapFile:
     Attributes:
         fault: Missing end in words; empty for a whole file.
         message_count: Number of messages by the index; None without one.
+        connections: Topics with their types.
     """
 
     def __init__(self, path: Path) -> None:
@@ -80,22 +81,17 @@ class McapFile:
                         summary.schemas[record.id] = record
                     elif isinstance(record, Channel):
                         summary.channels[record.id] = record
-        self._connections = {
-            channel.id: _connection(channel, summary.schemas.get(channel.schema_id))
+        self.connections = [
+            _connection(channel, summary.schemas.get(channel.schema_id))
             for channel in summary.channels.values()
-        }
-
-    @property
-    def connections(self) -> list[Connection]:
-        """Topics with their types."""
-        return list(self._connections.values())
+        ]
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
         """Yield connection, time of recording in nanoseconds, and bytes of each message on some topics."""
-        chosen = {connection.id for connection in connections}
+        chosen = {connection.id: connection for connection in connections}
         for record in self._records():
             if isinstance(record, Message) and record.channel_id in chosen:
-                yield self._connections[record.channel_id], record.log_time, record.data
+                yield chosen[record.channel_id], record.log_time, record.data
 
     def _records(self) -> Iterator[McapRecord]:
         """Yield the records; of a file without end, those before it."""
