@@ -47,8 +47,8 @@ def _ground_facts(world: World) -> Iterator[tuple[str, str]]:
 
 
 def _robot_facts(world: World, robot: str) -> Iterator[tuple[str, str]]:
-    for name, share in _drivable(world):
-        yield f"drivable, {name}", _drivable_text(world, name, share)
+    for name, text in _drivable(world):
+        yield f"drivable, {name}", text
     support, hits = scan_support(world, make_robot(robot)), "-"
     if support.poses:
         hits = (
@@ -84,14 +84,6 @@ def preflight_table(log: str, preflight: Preflight) -> Table:
     return table
 
 
-def _drivable_text(world: World, robot: str, share: float) -> str:
-    """Return the drivable share, unless the source's samples do not resolve the robot."""
-    if not _resolves(world, robot):
-        length = 2 * ROBOTS[robot].radius
-        return f"unknown: samples {world.sample_spacing:.3g} m apart do not resolve {length:.2g} m"
-    return f"{share:.1f} %, up to {math.degrees(ROBOTS[robot].max_slope):.0f} deg"
-
-
 def _resolves(world: World, robot: str) -> bool:
     return world.sample_spacing is None or world.sample_spacing <= 2 * ROBOTS[robot].radius
 
@@ -116,10 +108,15 @@ def _slopes(surface: HeightField) -> Float32Array:
     return slopes
 
 
-def _drivable(world: World) -> list[tuple[str, float]]:
-    """Return percent of the ground where a robot's center may be, by robot."""
+def _drivable(world: World) -> Iterator[tuple[str, str]]:
+    """Yield each robot with the share of the ground where its center may be, in words."""
     cells = CELLS if world.walls is None else MAP_CELLS
     resolution = max(0.1, max(world.surface.size) / cells)
     limits = [(robot.radius, robot.max_slope) for robot in ROBOTS.values()]
     grids = world.traversable_by(limits, resolution)
-    return [(name, 100 * float(grid.free.mean())) for name, grid in zip(ROBOTS, grids, strict=True)]
+    for (name, robot), grid in zip(ROBOTS.items(), grids, strict=True):
+        text = f"{100 * float(grid.free.mean()):.1f} %, up to {math.degrees(robot.max_slope):.0f} deg"
+        if not _resolves(world, name):
+            length = f"{2 * robot.radius:.2g} m"
+            text = f"unknown: samples {world.sample_spacing:.3g} m apart do not resolve {length}"
+        yield name, text

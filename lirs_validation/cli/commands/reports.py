@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -205,30 +204,21 @@ def export(options: ExportCommand) -> None:
     """
     from lirs_envs.robots.robot import ROBOTS
     from lirs_envs.robots.urdf import robot_urdf
-
-    robot = ROBOTS.get(options.source)
-    paths = _export_run(options) if robot is None else [_write_urdf(options, robot_urdf(robot))]
-    for path in paths:
-        say(path)
-
-
-def _export_run(options: ExportCommand) -> Sequence[Path]:
     from lirs_validation.analysis.export import export_run
     from lirs_validation.analysis.results import read_run
 
-    run = Path(options.source)
-    with err.status(f"exporting {run}"):
-        folder = options.output or run / "export"
-        slam = not options.sensors_only
-        return export_run(read_run(run), folder, options.to, storage=options.storage, slam=slam)
-
-
-def _write_urdf(options: ExportCommand, text: str) -> Path:
-    if options.to != ("urdf",):
-        raise ConfigError(f"{options.source}: a robot is exported --to urdf, got {','.join(options.to)}")
-    path = (options.output or Path()) / f"{options.source}.urdf"
-    _write(path, text)
-    return path
+    name, formats = options.source, options.to
+    if name not in ROBOTS:
+        with err.status(f"exporting {name}"):
+            folder, slam = options.output or Path(name) / "export", not options.sensors_only
+            paths = export_run(read_run(Path(name)), folder, formats, storage=options.storage, slam=slam)
+    elif formats != ("urdf",):
+        raise ConfigError(f"{name}: a robot is exported --to urdf, got {','.join(formats)}")
+    else:
+        paths = [(options.output or Path()) / f"{name}.urdf"]
+        _write(paths[0], robot_urdf(ROBOTS[name]))
+    for path in paths:
+        say(path)
 
 
 def _write(path: Path, text: str) -> None:
