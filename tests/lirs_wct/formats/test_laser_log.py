@@ -252,18 +252,6 @@ def test_the_lasers_own_poses_come_first_and_the_wheels_fill_the_gaps() -> None:
     assert found(lasers, []) == ([0, 1, 2], [1.0, 2.0, 3.0], [0, 1, 2])
 
 
-@pytest.mark.parametrize(("away", "merged"), [(0.99, True), (1.0, True), (1.01, False), (-1.01, False)])
-def test_wheels_a_meter_away_are_of_another_frame(away: float, merged: bool) -> None:
-    """The median of the distances, in the plane."""
-    stamps = [0.0, 1.0, 2.0, 3.0, 4.0]
-    lasers = messages(stamps, [Pose2(5.0 + k, 3.0) for k in range(5)])
-    beside: list[Pose2 | None] = [Pose2(5.0 + k, 3.0 + away) for k in range(5)]
-    beside[1] = Pose2(6.0, 50.0)
-    odoms = messages([t + 1e-9 for t in stamps], beside)
-    _, track, _ = found(lasers, odoms)
-    assert len(track) == (10 if merged else 5)
-
-
 @pytest.mark.parametrize("own", [[None, None], [Pose2(3.0), Pose2(3.0)], [Pose2(3.0), None]])
 def test_poses_that_never_change_are_none(own: list[Pose2 | None]) -> None:
     lasers = messages([1.0, 2.0], own)

@@ -137,28 +137,6 @@ def test_umlauts_of_windows(tmp_path: Path) -> None:
         assert read_metadata(tmp_path / "m.yaml").image.name == "Geb\u00e4ude.png"
 
 
-def test_names_that_look_like_other_things_stay_names(tmp_path: Path) -> None:
-    for name in ("2020-01-01", "1.0", "yes", "null", "0x10", "12:30"):
-        read = read_text(f"image: {name}\nresolution: 010\norigin: [1_0, 0, 0]\n", tmp_path)
-        assert (read.image.name, read.resolution, read.origin.x) == (name, 10.0, 10.0)
-
-
-def test_yaml_is_read_as_pyyaml_reads_it(shared_data: Path, tmp_path: Path) -> None:
-    texts = [path.read_text() for path in sorted(shared_data.glob("maps/*/*.yaml"))]
-    texts += [
-        "image: 'a # b.pgm'  # it\nresolution: 1\norigin:\n- 1\n- -2.5\n- 0.3\nnegate: 0\n",
-        '---\nimage: "x y.png"\nresolution: 5.0e-2\norigin: [ -1.5,2 , .5 ]\nmode: scale\n',
-        "image: it's.pgm\nresolution: 1\norigin: [0, 0]\nfree_thresh:   0.196\n\n# end\n",
-    ]
-    assert len(texts) > 12
-    for text in texts:
-        expected, ours = yaml.safe_load(text), read_text(text, tmp_path)
-        assert ours.image == tmp_path / expected["image"]
-        assert ours.origin == Pose2(*expected["origin"])
-        for key in {"resolution", "occupied_thresh", "free_thresh", "negate", "mode"} & set(expected):
-            assert getattr(ours, key) == expected[key], (key, text)
-
-
 # ---- every pixel by the rules of nav2's map_server
 
 
@@ -289,15 +267,6 @@ def test_any_white_of_a_tiff(tmp_path: Path, profile: dict[str, Any]) -> None:
             file.write_mask(np.arange(3)[:, None] + np.zeros(4) > 0)
     first = ["?"] * 4 if masked else ["#", "?", "?", "."]
     assert states(read_map_picture(tmp_path / "m.tif", 0.1)) == [first] + [["#", "?", "?", "."]] * 2
-
-
-def test_free_wins_where_thresholds_cross(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "m.png"), np.array([[0, 10, 100, 255]] * 2, np.uint8))
-    (tmp_path / "m.yaml").write_text(
-        "image: m.png\nresolution: 1\norigin: [0, 0, 0]\noccupied_thresh: 0.1\nfree_thresh: 0.9\n"
-    )
-    with pytest.warns(UserWarning, match=r"m\.yaml: occupied_thresh 0\.1 is below free_thresh 0\.9"):
-        assert states(read_map(tmp_path / "m.yaml")) == [["#", "#", ".", "."]] * 2
 
 
 def test_a_map_is_written_pixel_by_pixel(tmp_path: Path) -> None:
