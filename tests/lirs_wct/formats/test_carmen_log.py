@@ -130,16 +130,12 @@ def test_every_message_token_by_token(tail: str) -> None:
     [
         f"ODOM {BASE} 7 8 9",
         f"ODOM {BASE} 7 8 9 12.5 host 0.5 more",
-        f"FLASER 3 1 2 4.5 {LASER} {BASE}",
         f"FLASER 3 1 2 4.5 {LASER} {BASE} 12.5 host 0.5 more",
         f"FLASER 0 {LASER} {BASE} 12.5 host 0.5",
-        "FLASER 0",
         f"FLASER 3 1 2 1.2.3 {LASER} {BASE} 12.5",
         *(f"FLASER {n} 1 2 4.5 {LASER} {BASE} 12.5" for n in ("many", "-3", "999999999999")),
-        f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4",
         f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 3 70 80 90",
         f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 0 12.5 host 0.5 more",
-        f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 -1 12.5 host 0.5",
         f"ROBOTLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 3 70 80 90 {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1",
         f"ROBOTLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 0 {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1 12.5 host 0.5 more",
     ],
@@ -367,17 +363,11 @@ PNG = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + bytes(range(256))
 ZIPPED = gzip.compress("\n".join(LINES).encode())
 NO_LOG = {
     "empty": (b"", "no usable laser scan"),
-    "empty gzip": (gzip.compress(b""), "no usable laser scan"),
     "comments": (b"# nothing\n\n", "no usable laser scan"),
-    "parameters": (b"PARAM a b\n", "no usable laser scan"),
     "a picture": (PNG, "not a text file, a CARMEN log is one"),
-    "a zipped picture": (gzip.compress(PNG), "not a text file, a CARMEN log is one"),
     "UTF-16": ("FLASER 1 2".encode("utf-16"), "not a text file, a CARMEN log is one"),
     "bytes": (bytes(k * 37 % 251 + 1 for k in range(5000)), "no usable laser scan"),
-    "a letter": (b"Dear Sir,\nplease find enclosed\n", "no usable laser scan"),
     "cut gzip": (ZIPPED[: len(ZIPPED) // 2], "the gzip stream is damaged or cut off"),
-    "gzip head": (ZIPPED[:7], "the gzip stream is damaged or cut off"),
-    "wrong gzip": (ZIPPED[:60] + b"?" * 60 + ZIPPED[120:], "the gzip stream is damaged or cut off"),
     "wrong checksum": (ZIPPED[:-6] + b"??" + ZIPPED[-4:], "the gzip stream is damaged or cut off"),
 }
 
