@@ -23,7 +23,7 @@ from lirs_envs.robot_model import TIPPED, Collisions, RobotModel
 from lirs_envs.robots.robot import Robot, Twist, Waypoint
 from lirs_envs.sensing.sensors import LIDAR_STREAM, FaultInjector, Observation, sensor_stream
 from lirs_envs.simulation_config import SimulationConfig, check_fit, resolve_start
-from lirs_wct import ConfigError, Pose2, Pose3, SimulationError, World
+from lirs_wct import ConfigError, Imu, Pose2, Pose3, SimulationError, World
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.contact.spec import write_heights
 from lirs_wct.errors import check_seed
@@ -262,8 +262,8 @@ class Simulation:
         """Note the odometry with the slip of the faults."""
         for i in rows.tolist() if self._faults else ():
             group, k = self.places[i]
-            odometry, imu = Pose2(*group.odometry[k].tolist()), group.imu.reading(k, 0.0)
-            self._slipped[i] = self._faults[i].odometry(odometry, imu).as_array()
+            odometry, (roll, pitch) = Pose2(*group.odometry[k].tolist()), group.imu.attitude[k].tolist()
+            self._slipped[i] = self._faults[i].odometry(odometry, roll, pitch).as_array()
 
     def _scan(self, rows: IntArray) -> None:
         for i in rows.tolist() if self._copies_rays else ():
@@ -318,13 +318,14 @@ class Simulation:
     def reading(self, i: int = 0) -> Observation:
         """Return the last sensor readings of robot `i` as arguments of a mapper."""
         group, k = self.places[i]
-        now, faults = self.time(i), self._faults.get(i)
+        now, faults, imu = self.time(i), self._faults.get(i), group.imu
         odometry = group.odometry[k] if faults is None else self._slipped[i]
         tracked = self.config.inertial and self._ticks[i] and not (faults and faults.faults.slip)
+        (roll, pitch), rates, force = (a[k].tolist() for a in (imu.attitude, imu.rates, imu.force))
         return Observation(
             self._lidars.reading(i, float(self._stamps[i])),
             Pose2(*odometry.tolist()),
-            group.imu.reading(k, now),
+            Imu(roll, pitch, tuple(rates), tuple(force), now),
             self._lidars.clouds[i],
             group.inertial[k],
             group.track(k, now) if tracked else (),

@@ -80,8 +80,10 @@ class Lidar:
     ) -> tuple[LaserScan, PointCloud]:
         """Return planar scan and cloud of one sweep (see `scan`). The scan is one ring of the cloud."""
         origin, directions = self._rays(T_world_base, velocity)
+        self._draw_noise()
         exact, reflectances = self.caster.hits(origin, directions, self._limits[1])
-        ranges = self._measured(exact)
+        ranges = np.empty(len(exact), np.float32)
+        measure(exact, self._normals, self._uniforms, self._limits, self._noise, ranges)
         met = self.returned = np.isfinite(ranges)
         cloud = PointCloud(
             (ranges[met, None] * self._directions[met]).astype(np.float32),
@@ -102,16 +104,17 @@ class Lidar:
     def ranges(self, T_world_base: Pose3, velocity: Velocity | None = None) -> Float32Array:
         """Return (rings * beams,) ranges of a sweep, ring by ring from below (see `scan`)."""
         origin, directions = self._rays(T_world_base, velocity)
-        return self._measured(self.caster.ranges(origin, directions, self._limits[1]))
-
-    def _measured(self, exact: FloatArray) -> Float32Array:
-        """Return exact ranges (n,) with noise."""
-        self._rng.standard_normal(out=self._normals)
-        if self._uniforms.size:
-            self._rng.random(out=self._uniforms)
+        self._draw_noise()
+        exact = self.caster.ranges(origin, directions, self._limits[1])
         ranges = np.empty(len(exact), np.float32)
         measure(exact, self._normals, self._uniforms, self._limits, self._noise, ranges)
         return ranges
+
+    def _draw_noise(self) -> None:
+        """Draw the random numbers of a sweep."""
+        self._rng.standard_normal(out=self._normals)
+        if self._uniforms.size:
+            self._rng.random(out=self._uniforms)
 
     def _rays(self, T_world_base: Pose3, velocity: Velocity | None) -> tuple[FloatArray, FloatArray]:
         """Return world origins, (3,) or (n, 3), and directions (n, 3) of the beams."""

@@ -17,7 +17,7 @@ import numpy as np
 from lirs_envs.robots.control import WheelJoints, mean_angle
 from lirs_wct.arrays import Vector3
 from lirs_wct.errors import Checked, check_field, limited, one_of
-from lirs_wct.geometry import FloatArray, Imu, ImuReadings, IntArray, njit
+from lirs_wct.geometry import FloatArray, ImuReadings, IntArray, njit
 
 RATE_BLOCK = 256
 """Number of gyro readings whose noise is drawn at once: single draws would cost more than the reading."""
@@ -124,11 +124,6 @@ class ImuSensors:
         noise = self._bias, self._normals
         _read(ids, (qpos, force), noise, dt, self._parameters, self.attitude, self.force)
         self.draw(ids, self._updates)
-
-    def reading(self, i: int, stamp: float) -> Imu:
-        """Return the last reading of unit `i`."""
-        roll, pitch = self.attitude[i].tolist()
-        return Imu(roll, pitch, tuple(self.rates[i].tolist()), tuple(self.force[i].tolist()), stamp)
 
 
 @njit

@@ -87,18 +87,19 @@ class FaultInjector:
         late_cloud = None if old_cloud is None or cloud is None else replace(old_cloud, stamp=cloud.stamp)
         return old_ranges, late_cloud
 
-    def odometry(self, odometry: Pose2, imu: Imu) -> Pose2:
+    def odometry(self, odometry: Pose2, roll: float, pitch: float) -> Pose2:
         """Return `T_odom_base` with the slip since the last call.
 
         Args:
             odometry: Pose `T_odom_base` of the wheels without slip.
-            imu: Attitude of the robot.
+            roll: Roll of the robot, radians.
+            pitch: Pitch of the robot, radians.
         """
         if not self.faults.slip:
             return odometry
         step, slip = self._true.inverse() @ odometry, self.faults.slip
-        forward = step.x * (1 - slip * math.sin(imu.pitch))
-        sideways = step.y + slip * abs(step.x) * math.sin(imu.roll)
+        forward = step.x * (1 - slip * math.sin(pitch))
+        sideways = step.y + slip * abs(step.x) * math.sin(roll)
         self._true, self._measured = odometry, self._measured @ Pose2(forward, sideways, step.yaw)
         return self._measured
 

@@ -22,7 +22,7 @@ from lirs_envs.sensing.sensors import (
 )
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_wct import Imu, Pose2
+from lirs_wct import Pose2
 from lirs_wct.errors import ConfigError, SourceError
 
 WORLD = arena("arena", ArenaConfig())
@@ -63,17 +63,17 @@ def test_dust_returns_near_beams_in_its_share() -> None:
 @pytest.mark.parametrize(("pitch", "roll", "expected"), [(-0.2, 0.0, "longer"), (0.2, 0.0, "shorter")])
 def test_wheels_slip_with_the_slope(pitch: float, roll: float, expected: str) -> None:
     injector = FaultInjector(SensorFaults(slip=0.3), make_lidar_preset("lms111"), 0)
-    measured = injector.odometry(Pose2(1.0, 0.0, 0.0), Imu(roll=roll, pitch=pitch))
+    measured = injector.odometry(Pose2(1.0, 0.0, 0.0), roll, pitch)
     factor = 1 - 0.3 * math.sin(pitch)
     assert measured.x == pytest.approx(factor)
     assert (measured.x > 1) == (expected == "longer")
-    again = injector.odometry(Pose2(2.0, 0.0, 0.0), Imu())
+    again = injector.odometry(Pose2(2.0, 0.0, 0.0), 0.0, 0.0)
     assert again.x == pytest.approx(factor + 1.0)
 
 
 def test_wheels_do_not_measure_the_slide_across_a_slope() -> None:
     injector = FaultInjector(SensorFaults(slip=0.2), make_lidar_preset("lms111"), 0)
-    measured = injector.odometry(Pose2(1.0, 0.0, 0.0), Imu(roll=0.3))
+    measured = injector.odometry(Pose2(1.0, 0.0, 0.0), 0.3, 0.0)
     # The right side is down: the robot slides to its right, -y, and the odometry is left of it.
     assert measured.y == pytest.approx(0.2 * math.sin(0.3))
 
