@@ -24,12 +24,9 @@ class JoinedEpisodes:
     """Episodes in several worlds as one; rows are numbered world by world.
 
     Attributes:
-        parts: the episodes of each world.
-        places: part and row in it of each row.
-        config: options of the first part; those of others differ in the world.
-        max_steps: number of steps until an episode is truncated.
-        action_space: action space of one robot.
-        observation_space: observation space of one robot.
+        parts: Episodes of each world.
+        places: Part and row in it of each row.
+        config: Options of the first part; those of others differ in the world.
     """
 
     def __init__(self, parts: Sequence[Episodes]) -> None:

@@ -56,10 +56,15 @@ class TerrainMipmap(NamedTuple):
 def build_terrain_mipmap(surface: HeightField) -> TerrainMipmap:
     """Build blocks and bounds of a height field."""
     z = surface.south_up
-    block = _blocks(z)
+    rows, cols = (-(-(nodes - 1) // EDGE) for nodes in z.shape)
+    missing = [(0, EDGE * n + 1 - nodes) for n, nodes in zip((rows, cols), z.shape, strict=True)]
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(z, missing, mode="edge"), (ROW, ROW))
+    block = windows[::EDGE, ::EDGE].reshape(rows, cols, ROW * ROW)
     levels = [np.stack((block.max(axis=-1), -block.min(axis=-1)))]
     while levels[-1][0].size > 1:
-        levels.append(_coarser(levels[-1]))
+        even = np.pad(levels[-1], ((0, 0), *((0, n % 2) for n in levels[-1].shape[1:])), mode="edge")
+        of_rows = np.maximum(even[:, ::2], even[:, 1::2])
+        levels.append(np.maximum(of_rows[:, :, ::2], of_rows[:, :, 1::2]))
     bound = np.concatenate([level.reshape(2, -1) for level in levels], axis=1)
     ends = np.cumsum([level[0].size for level in levels])
     unused = (0,) * LEAF
@@ -72,21 +77,6 @@ def build_terrain_mipmap(surface: HeightField) -> TerrainMipmap:
     frame = np.array((*surface.origin, *surface.cell, low, high, margin), dtype=np.float64)
     cells = (z.shape[1] - 1, z.shape[0] - 1)
     return TerrainMipmap(block.reshape(-1, ROW * ROW), bound.ravel(), start, width, frame, cells)
-
-
-def _blocks(z: Float32Array) -> Float32Array:
-    """Return the (rows, cols, ROW * ROW) nodes of each block."""
-    rows, cols = (-(-(nodes - 1) // EDGE) for nodes in z.shape)
-    missing = [(0, EDGE * n + 1 - nodes) for n, nodes in zip((rows, cols), z.shape, strict=True)]
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(z, missing, mode="edge"), (ROW, ROW))
-    return windows[::EDGE, ::EDGE].reshape(rows, cols, ROW * ROW)
-
-
-def _coarser(fine: Float32Array) -> Float32Array:
-    """Return the level (2, rows, cols) above another one."""
-    even = np.pad(fine, ((0, 0), *((0, n % 2) for n in fine.shape[1:])), mode="edge")
-    of_rows = np.maximum(even[:, ::2], even[:, 1::2])
-    return np.maximum(of_rows[:, :, ::2], of_rows[:, :, 1::2])
 
 
 FAR_DISTANCE = 1e300

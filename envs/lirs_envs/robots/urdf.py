@@ -8,7 +8,6 @@ from xml.etree.ElementTree import Element, SubElement
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lirs_envs.robots.robot import Robot
 from lirs_wct.geometry import Pose3
@@ -49,22 +48,19 @@ def _link(root: Element, model: mujoco.MjModel, body: int) -> None:
         kind = "collision" if model.geom_contype[geom] else "visual"
         element = SubElement(link, kind)
         _origin(element, Pose3.from_arrays(model.geom_pos[geom], model.geom_quat[geom]))
-        _shape(SubElement(element, "geometry"), int(model.geom_type[geom]), model.geom_size[geom])
+        geometry, shape = SubElement(element, "geometry"), int(model.geom_type[geom])
+        a, b, c = model.geom_size[geom].tolist()
+        if shape == mujoco.mjtGeom.mjGEOM_BOX:
+            SubElement(geometry, "box", size=f"{2 * a:.6g} {2 * b:.6g} {2 * c:.6g}")
+        elif shape == mujoco.mjtGeom.mjGEOM_SPHERE:
+            SubElement(geometry, "sphere", radius=f"{a:.6g}")
+        else:
+            half = {mujoco.mjtGeom.mjGEOM_CAPSULE: b + a, mujoco.mjtGeom.mjGEOM_ELLIPSOID: c}.get(shape, b)
+            SubElement(geometry, "cylinder", radius=f"{a:.6g}", length=f"{2 * half:.6g}")
         if kind == "visual":
             color = " ".join(f"{v:.3g}" for v in model.geom_rgba[geom])
             material = SubElement(element, "material", name=f"color_{geom}")
             SubElement(material, "color", rgba=color)
-
-
-def _shape(geometry: Element, kind: int, size: ArrayLike) -> None:
-    a, b, c = np.asarray(size, dtype=np.float64).tolist()
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        SubElement(geometry, "box", size=f"{2 * a:.6g} {2 * b:.6g} {2 * c:.6g}")
-    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        SubElement(geometry, "sphere", radius=f"{a:.6g}")
-    else:
-        half = {mujoco.mjtGeom.mjGEOM_CAPSULE: b + a, mujoco.mjtGeom.mjGEOM_ELLIPSOID: c}.get(kind, b)
-        SubElement(geometry, "cylinder", radius=f"{a:.6g}", length=f"{2 * half:.6g}")
 
 
 def _joint(root: Element, name: str, kind: str, parent: str, child: str, T: Pose3) -> Element:

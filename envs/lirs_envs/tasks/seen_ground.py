@@ -55,7 +55,7 @@ class SeenGround:
         """Clear the grid of robot `i`. `wanted` (rows, cols) cells are counted separately."""
         np.add(frame.height, np.float32(self._reach), out=self._ceilings[i])
         np.isfinite(frame.height, out=self._ground[i])
-        _bound_blocks(self._ceilings[i], self._highest[i])
+        _bound_blocks(self._ceilings[i], self._highest[i], self._wanted[i])
         self._wanted[i], self._corners[i] = wanted, frame.corner
         self.cells[i] = self.wanted_cells[i] = 0
 
@@ -238,15 +238,12 @@ def _bound_block(grids: Grids, layout: Layout, block: int, row: int) -> None:
 
 
 @njit
-def _bound_blocks(ceiling: Float32Array, highest: Float32Array) -> None:
-    rows, cols = ceiling.shape
-    for r in range(highest.shape[0]):
-        for c in range(highest.shape[1]):
-            top = DONE
-            for j in range(BLOCK * r, min(BLOCK * (r + 1), rows)):
-                for i in range(BLOCK * c, min(BLOCK * (c + 1), cols)):
-                    top = max(top, ceiling[j, i])
-            highest[r, c] = top
+def _bound_blocks(ceiling: Float32Array, highest: Float32Array, wanted: BoolArray) -> None:
+    (rows, cols), (high, wide) = ceiling.shape, highest.shape
+    grids = (ceiling.reshape(-1), highest.reshape(-1), wanted.reshape(-1))
+    for r in range(high):
+        for c in range(wide):
+            _bound_block(grids, ((1, cols), (1, wide), (cols, rows)), c, r)
 
 
 @njit

@@ -43,27 +43,20 @@ def seen_frame(world: World) -> SeenFrame:
     y = np.minimum(south + (np.arange(rows) + 0.5) * SEEN_CELL, north)[:, None]
     height = surface.height_at(x, y).astype(np.float32)
     if world.walls is not None:
-        points = np.stack(np.broadcast_arrays(x, y), axis=-1)
-        height[~_floor(world, points)] = -np.inf
+        # Known free floor of a laser map.
+        walls, truth, points = world.walls, world.truth, np.stack(np.broadcast_arrays(x, y), axis=-1)
+        free, resolution, origin = walls.floor, walls.resolution, walls.origin
+        if truth is not None:
+            free, resolution, origin = truth.free, truth.resolution, truth.origin
+        cells = np.floor(origin.inverse().apply(points)[..., ::-1] / resolution).astype(int)
+        inside = np.all((cells >= 0) & (cells < free.shape), axis=-1)
+        held = np.where(inside[..., None], cells, 0)
+        height[~(inside & free[held[..., 0], held[..., 1]])] = -np.inf
     if world.no_ground is not None:
         row = np.clip(np.rint((north - y) / surface.cell[1]).astype(int), 0, surface.shape[0] - 1)
         col = np.clip(np.rint((x - west) / surface.cell[0]).astype(int), 0, surface.shape[1] - 1)
         height[world.no_ground[row, col]] = -np.inf
     return SeenFrame((west, south), height)
-
-
-def _floor(world: World, points: FloatArray) -> BoolArray:
-    """Whether points (..., 2) are on known free floor of a laser map."""
-    walls, truth = world.walls, world.truth
-    assert walls is not None
-    free, resolution, origin = walls.floor, walls.resolution, walls.origin
-    if truth is not None:
-        free, resolution, origin = truth.free, truth.resolution, truth.origin
-    cells = np.floor(origin.inverse().apply(points)[..., ::-1] / resolution).astype(int)
-    inside = np.all((cells >= 0) & (cells < free.shape), axis=-1)
-    held = np.where(inside[..., None], cells, 0)
-    floor: BoolArray = inside & free[held[..., 0], held[..., 1]]
-    return floor
 
 
 @dataclass(frozen=True)
