@@ -92,7 +92,7 @@ def read_mesh_source(source: Source, options: BuildOptions) -> Reading:
 
 
 def _warn_of_units(path: Path, mesh: TriangleMesh, options: BuildOptions) -> None:
-    """Warn of a mesh as large as in millimeters, and of one that lies."""
+    """Warn of a mesh that seems to be in millimeters, or to have y up."""
     width, depth, height = np.ptp(mesh.bounds, axis=0).tolist()
     side, unitless = max(width, depth), path.suffix.lower() in UNITLESS
     is_large = side >= MAX_METERS and (unitless or height > max(MAX_METERS, TALL_SHARE * side))

@@ -296,13 +296,6 @@ def test_a_bundled_world_has_meters_of_its_own(
     assert ground.surface.size == pytest.approx(size)
     np.testing.assert_allclose(ground.surface.z, small.pixels / 14 * height, atol=1e-6)
     assert scale == words
-    for most, legal in ((15, True), (14, False)):
-        given = BuildOptions(max_pixels=most)
-        if legal:
-            read_terrain(find_source("simple", given), given)
-            continue
-        with pytest.raises(SourceError, match="image is 5x3 px = 15 pixels, at most 14 are allowed"):
-            read_terrain(find_source("simple", given), given)
 
 
 def test_a_window_keeps_the_meters_of_the_whole(tmp_path: Path) -> None:
