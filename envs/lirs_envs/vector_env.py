@@ -115,10 +115,7 @@ class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        counts = {"num_envs": num_envs, "threads": threads, "max_episode_steps": max_episode_steps}
-        for name, count in counts.items():
-            if count is not None or name == "num_envs":
-                within("[1, inf)", whole=True)(count, name)
+        _check_counts(num_envs=num_envs, threads=threads, max_episode_steps=max_episode_steps)
         modes = [mode.value for mode in AutoresetMode]
         if autoreset_mode not in (*AutoresetMode, *modes):
             raise unknown_name("autoreset_mode", str(autoreset_mode), modes)
@@ -308,3 +305,10 @@ def _divide(options: dict[str, Any], count: int) -> list[tuple[dict[str, Any], i
         raise ConfigError(f"world must be 1 to num_envs = {count} worlds, got {len(worlds)}")
     first = [-(-k * count // len(worlds)) for k in range(len(worlds) + 1)]
     return [({"world": world}, first[k + 1] - first[k]) for k, world in enumerate(worlds)]
+
+
+def _check_counts(**counts: Any) -> None:
+    """Check that counts are whole numbers from 1 up; None is legal except for `num_envs`."""
+    for name, count in counts.items():
+        if count is not None or name == "num_envs":
+            within("[1, inf)", whole=True)(count, name)
