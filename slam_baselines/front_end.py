@@ -1,7 +1,8 @@
 """Front end of the planar mappers: the shared steps between a scan and the map.
 
 Each scan is leveled, its pose is predicted by dead reckoning, and two monitors decide whether to use the
-method's match and whether the scan may enter the map. On uneven ground the start of the map is refined.
+method's match and whether the scan may enter the map, which a builder draws. On uneven ground the start of
+the map is refined.
 """
 
 from __future__ import annotations
