@@ -279,7 +279,7 @@ def propagate_steps(pose: Any, covariance: Any, steps: Any) -> Any:
 
 @njit
 def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) -> Any:
-    """Return the covariance of x, y, yaw after a step (dx, dy) in the map frame.
+    """Return the covariance of x, y, yaw after a step in the map frame.
 
     That is G P G' + Q with G = [[1, 0, -dy], [0, 1, dx], [0, 0, 1]] and the step's own variances
     Q = diag(shift, shift, turn).

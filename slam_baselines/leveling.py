@@ -113,7 +113,7 @@ class Mount(NamedTuple):
 
 @njit
 def _transform(points: Any, pose: Any, out: Any) -> None:
-    """Turn and shift arrays of points (n, 3) by a pose (x, y, yaw, z) into `out`."""
+    """Turn and shift points (n, 3) by a pose x, y, yaw, z into `out`."""
     x, y, yaw, z = pose
     c, s = np.cos(yaw), np.sin(yaw)
     for k in range(len(points)):
@@ -127,7 +127,7 @@ def _transform(points: Any, pose: Any, out: Any) -> None:
 def _level(
     ranges: Any, directions: Any, mount: Any, limits: Any, attitude: Any, ends: Any, origin: Any
 ) -> tuple[int, int]:
-    """Fill `ends` with hits from the top and free ends from the bottom; return both counts."""
+    """Fill `ends` with hits from the top, free ends from the bottom; return both counts."""
     nearest, farthest, clear = limits
     rotation, shift = mount
     roll, pitch = attitude

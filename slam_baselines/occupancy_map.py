@@ -87,7 +87,7 @@ class RayTracer:
 
 @njit
 def trace_scan(scan: Any, resolution: float, touched: Any, mark: int, line: Any, out: Any) -> None:
-    """Fill a trace: cells of the beams' ends, then passed cells; each once, a hit wins.
+    """Fill a trace: cells of the beams' ends, then passed cells, each once.
 
     The last cell before a hit is spared: noise would erode the near side of the wall and so push it back.
     """

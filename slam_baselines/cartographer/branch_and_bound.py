@@ -202,7 +202,7 @@ def _roots(lattice: BoundGrids, points: Any, tree: _Tree, rows: Any, cols: Any) 
 
 @njit
 def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: Any) -> int:
-    """Fill the up to four children of a node (5,) by ascending score; return their number."""
+    """Fill a node's (5,) up to four children by ascending score; return their number."""
     h, t, dr, dc = node[1], np.int64(node[2]), node[3], node[4]
     half, m = 1 << (h - 1), 0
     for q in range(4):

@@ -195,7 +195,7 @@ def _pass_walls(table: Any, record: Any, top: Any, marks: Any, line: Any, rise: 
 
 @njit
 def _number_cells(line: Any, count: int, ray: Any, row0: int, col0: int, cols: int) -> None:
-    """Fill the first numbers of `line` with the cells of a beam, without branches for SIMD."""
+    """Fill the first numbers of `line` with a beam's cells, without branches for SIMD."""
     x, y, du, dv = ray
     south, west, across = np.int32(row0), np.int32(col0), np.int32(cols)
     for i in range(count):

@@ -1,4 +1,4 @@
-"""Motion model: motion since the last processed scan, bias of the gyro, and the particles' poses by both."""
+"""Motion model: motion since the last processed scan, gyro's bias, particles' poses by both."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ def find_peak(
 
 @njit
 def match_one(view: Any, beams: Any, expected: Any, covariance: Any, wider: int, tuning: Any) -> Any:
-    """Return the best (3,) pose of a scan in one map, and the weights of log_likelihood."""
+    """Return the best (3,) pose of a scan in one map, and log_likelihood's weights."""
     prior, near = OdometryPrior(expected, np.linalg.inv(covariance)), near_beams(beams, tuning.kernelSize)
     H = np.empty((3, 3))
     peak, _, hit, known, _ = find_peak(view, beams, near, prior, expected, wider, tuning, H)

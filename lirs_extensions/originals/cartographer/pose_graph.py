@@ -1,4 +1,4 @@
-"""Pose graph of the original and its loop search: branch and bound in finished submaps, then refinement.
+"""Pose graph of the original and its loop search in finished submaps.
 
 As in the original's pose_graph_2d, work that its threads do later is done at once here, in the same order.
 

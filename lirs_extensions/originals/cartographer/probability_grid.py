@@ -1,4 +1,4 @@
-"""Range data of a scan, and the probability grid of a submap, as in the original.
+"""Range data of a scan, and probability grid of a submap, as in the original.
 
 Coordinates are float32. Each voxel of a filter keeps one point, drawn by a generator with a fixed start
 (reservoir sampling), so that the same scan gives the same points. Cells hold 16-bit values, updated by

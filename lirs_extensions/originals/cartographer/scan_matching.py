@@ -1,4 +1,4 @@
-"""Scan matching in a probability grid, as in the original's two matchers, with the rules of Ceres.
+"""Scan matching in a probability grid by the original's two matchers, with Ceres's rules.
 
 The solver, Levenberg-Marquardt with the rules and the defaults of Ceres, stops early (function tolerance
 1e-6), so that where it stops is part of the result. Robust losses are the problem's, as weights in its
