@@ -128,7 +128,7 @@ def poses_at(times: Sequence[float], poses: Sequence[Pose3], stamps: Sequence[fl
 
 
 def deskew(points: FloatArray, times: FloatArray, motion: FloatArray) -> FloatArray:
-    """Return points (n, 3) as seen from the sensor in the middle of the sweep, meters.
+    """Return points (n, 3) as seen in the middle of the sweep, meters.
 
     The motion (4, 4), from the stamp to the sweep's end, is constant: rotation by Rodrigues' formula,
     translation linear. Seen from the middle, an error of the motion hardly moves the cloud; seen from the

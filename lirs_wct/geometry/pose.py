@@ -1,4 +1,4 @@
-"""Rigid poses in the plane and in space, trajectories of them, and views of a scene.
+"""Rigid poses in the plane and in space, their trajectories, and views of a scene.
 
 `T_ab` maps coordinates in frame b to frame a, so `T_ac = T_ab @ T_bc`. Meters and radians;
 quaternions are wxyz (MuJoCo's order); files of ROS and TUM hold xyzw.

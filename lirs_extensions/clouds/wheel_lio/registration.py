@@ -189,7 +189,7 @@ class MatchRule(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SpatialPrior:
-    """Expected pose of the base, R (3, 3) and t (3,) in the level map frame, meters.
+    """Expected base pose, R (3, 3) and t (3,), level map frame, meters.
 
     Its standard deviations (6,) are those of the position along the frame's axes, meters, and of the turn
     about them, radians.

@@ -214,7 +214,7 @@ def _add(table: Any, points: Any, center: Any, cell: float, full: float, touched
 
 @njit
 def is_behind(plane: Any, sensor: Any) -> Any:
-    """Return whether a sensor (3,) is on the side of a plane that was not seen."""
+    """Return whether a sensor (3,) is on the unseen side of a plane."""
     a, b, c = plane[0], plane[1], plane[2]
     side = a * (sensor[0] - plane[3]) + b * (sensor[1] - plane[4]) + c * (sensor[2] - plane[5])
     return plane[VARIANCE] > 0.0 and side < -MIN_BACK_DISTANCE

@@ -97,7 +97,7 @@ def cell_of(x: float, delta: float) -> int:
 
 @njit
 def _register(tables: Any, corner: Any, patches: Any, delta: float, poses: Any, ends: Any, first: int) -> int:
-    """Add a scan to the maps from `first` on, until patches run out; return the number done."""
+    """Add a scan to the maps from `first` on until patches run out; return the count."""
     for k in range(first, len(poses)):
         if patches.free[0] < len(ends):
             return k
