@@ -77,7 +77,7 @@ def overview_figure(
     aligned: OccupancyGrid | None = None,
     elevation: ElevationMap | None = None,
 ) -> Drawing:
-    """Draw a run on one page: true and estimated path, and its maps, all in the world frame."""
+    """Draw a run on one page; true and estimated path and maps are in the world frame."""
     truth, estimate = paths
     canvas = Canvas.over(shown_bounds(world, truth, true_pose), round(PANEL * PAGE_DPI))
     rows, cols = canvas.shape

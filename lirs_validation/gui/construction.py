@@ -56,10 +56,7 @@ def built_facts(world: World) -> Facts:
 
 @dataclass(frozen=True)
 class Shown:
-    """World of a page with its facts, and the source and options that it was built from.
-
-    A preview is coarser, without start poses and without a package. The source of a log is its map.
-    """
+    """World of a page, its facts, source and options; a preview is coarse, without a package."""
 
     world: World
     facts: Facts
@@ -69,7 +66,7 @@ class Shown:
 
 
 def preview(source: str, options: BuildOptions, folder: Path, progress: Progress = no_progress) -> Shown:
-    """Return a coarse world of a source; a log is mapped in the page's folder the first time."""
+    """Return a coarse world of a source; a log is mapped the first time."""
     source = str(resolve_source(source, options, folder / "maps", progress))
     world = preview_world(source, options, PREVIEW_NODES)
     return Shown(world, preview_facts(world), source, options)

@@ -91,7 +91,7 @@ class Guard:
 
 
 class PageWorker:
-    """Run the jobs of one page in sequence, so that its state needs no locks; errors go to `on_error`."""
+    """Run the jobs of one page in sequence, so that its state needs no locks."""
 
     def __init__(self, on_error: Callable[[Exception], None], name: str = "page") -> None:
         self._on_error = on_error
@@ -243,7 +243,7 @@ class OptionControls:
         }
 
     def show_for(self, kind: SourceKind) -> None:
-        """Show the controls that have an effect on a kind of source, and the folders that hold any."""
+        """Show the controls that have an effect on a kind of source."""
         for control, handle in self._shown:
             handle.visible = control.shown_for(kind)
         legal = {control.option.panel or FIRST_PANEL for control, handle in self._shown if handle.visible}
@@ -279,12 +279,12 @@ class OptionControls:
 
 
 def add_drop_zone(gui: viser.GuiApi, label: str) -> None:
-    """Send files dropped onto the page to the upload button with this label, YAML files last."""
+    """Send dropped files to the upload button with this label, YAML files last."""
     gui.add_html(with_script("drop", label))
 
 
 class Stick:
-    """Stick for manual driving: HTML that writes forward and left, -1 to 1 each, into a text field."""
+    """Stick for manual driving: HTML that writes forward and left into a text field."""
 
     def __init__(self, gui: viser.GuiApi, guard: Guard, steer: Callable[[float, float], None]) -> None:
         self._html = gui.add_html(with_script("stick", LABEL), visible=False)

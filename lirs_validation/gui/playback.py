@@ -55,10 +55,7 @@ MAP_FILES = ("map.yaml", "map.pgm")
 
 @dataclass(frozen=True)
 class MapSnapshot:
-    """Compressed map in the world frame at one moment of a drive, which may have thousands.
-
-    `time` is in seconds since the start, `packed` has the cells: occupied, free or unknown.
-    """
+    """Map in the world frame at one moment of a drive; `packed` holds its compressed cells."""
 
     time: float
     shape: tuple[int, int]
@@ -236,7 +233,7 @@ class HandOverDriver:
 
 
 class LiveDrive(Playback):
-    """One drive of a page, from its first scan on; a person can take over from its driver."""
+    """One drive of a page; a person can take over from its driver."""
 
     world: World
 

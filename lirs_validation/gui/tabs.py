@@ -163,7 +163,7 @@ class WorldTab:
 
 
 class PlaybackTab(Generic[AnyPlayback]):
-    """Tab with a drive, its play button, speed, timeline and figures; `playback` is the drive, if any."""
+    """Tab with a drive, its play button, speed, timeline and figures."""
 
     def __init__(self, page: PageContext, begun: Callable[[], None]) -> None:
         self._page, self._begun = page, begun

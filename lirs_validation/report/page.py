@@ -16,14 +16,9 @@ from lirs_wct.drawing.canvas import Drawing
 
 @dataclass(frozen=True)
 class PageFigure:
-    """A picture on a page.
+    """A picture on a page: SVG or address, description, caption, and a note on missing parts.
 
-    Attributes:
-        picture: SVG element, or address of a picture; empty = only the caption.
-        alt: Description for screen readers.
-        caption: Text below the picture.
-        note: Missing parts, after the caption.
-        width: Largest width of the picture, in CSS.
+    `width` is the largest one, in CSS.
     """
 
     picture: str
@@ -35,17 +30,7 @@ class PageFigure:
 
 @dataclass(frozen=True)
 class PageSection:
-    """A section of a page.
-
-    Attributes:
-        key: Short name for links.
-        title: Heading.
-        text: Paragraph below the heading.
-        tables: Tables; an empty one shows its caption alone.
-        folded: Tables that a click opens.
-        figures: Pictures, several side by side.
-        commands: Command lines.
-    """
+    """A section of a page; a click opens `folded` tables, an empty table shows its caption alone."""
 
     key: str
     title: str

@@ -72,7 +72,7 @@ SKIPPED = "Folders that are damaged or of another version: in no other table."
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """The contents of a report on a folder of results; runs are in the order of the sweep.
+    """The contents of a report; runs are in the order of the sweep.
 
     Attributes:
         sections: Sections without charts and pictures, also empty ones.

@@ -180,7 +180,7 @@ def _width(headings: Sequence[str], texts: Sequence[Sequence[str]], columns: Seq
 
 
 def _csv_column(heading: str, contents: Sequence[Content]) -> list[list[object]]:
-    """Return the heading and the cells of a column, five side by side of a metric with repeats."""
+    """Return heading and cells of a column; five side by side of a metric with repeats."""
     spreads = [cell for cell in contents if isinstance(cell, MetricSpread)]
     repeated = any(cell.values is not None and max(cell.values.count, cell.of) > 1 for cell in spreads)
     width = 5 if repeated else 1
