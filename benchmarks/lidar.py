@@ -112,12 +112,6 @@ def triangles(surface: HeightField) -> tuple[NDArray[np.float32], NDArray[np.int
     return np.stack((x, y, surface.south_up), axis=-1).astype(np.float32), faces
 
 
-def rings(count: int, beams: int, highest: float) -> Array:
-    """Return (count * beams, 3) directions of rings, evenly below and above the horizon."""
-    around = np.linspace(-np.pi, np.pi, beams, endpoint=False)
-    return np.concatenate([ring_directions(around, up) for up in np.linspace(-highest, highest, count)])
-
-
 def milliseconds(cast: Cast, rays: list[Rays], rounds: int) -> Array:
     """Return for each pose the median time over the rounds; a first scan, which compiles, does not count."""
     times = np.zeros((rounds, len(rays)))
@@ -148,7 +142,9 @@ def measure_terrains(quick: bool) -> tuple[dict[str, float], list[dict[str, floa
         if samples == SAMPLES:
             row |= compare_with_mujoco(surface, ours, rays, 3 if quick else 8)
             figures |= {key: row[key] for key in LIMITS if key in row}
-            for name, beams in (("scan_541_ms", fan(541)), ("rings_16x900_ms", rings(16, 900, 0.26))):
+            around = np.linspace(-np.pi, np.pi, 900, endpoint=False)
+            rings = np.concatenate([ring_directions(around, up) for up in np.linspace(-0.26, 0.26, 16)])
+            for name, beams in (("scan_541_ms", fan(541)), ("rings_16x900_ms", rings)):
                 times = milliseconds(ours, scans(surface, POSES, beams), rounds // 3)
                 figures[name] = float(np.median(times))
         rows.append(row)

@@ -164,7 +164,7 @@ READERS = (
 GROUPS = {
     "metrics": (63, ("lirs_validation/metrics/*.py",)),
     "poses": (48, tuple(f"lirs_wct/geometry/{name}.py" for name in ("pose", "grid"))),
-    "readers": (85, READERS),
+    "readers": (85, tuple(f"lirs_wct/{name}.py" for name in READERS)),
 }
 """Mutants that are drawn, and the modules."""
 COPIED = (

@@ -43,9 +43,10 @@ def _optional(flag: str) -> dict[str, Any]:
 def print_rows(rows: Iterable[Mapping[str, Any]], title: str = "", width: int | None = None) -> None:
     """Print rows as a table with a column for each key of the first."""
     shown = list(rows)
-    table = Table(*shown[0], title=title or None)
+    columns = list(shown[0]) if shown else []
+    table = Table(*columns, title=title or None)
     for row in shown:
-        table.add_row(*(cell(row.get(key)) for key in shown[0]))
+        table.add_row(*(cell(row.get(key)) for key in columns))
     Console(width=width).print(table)
 
 

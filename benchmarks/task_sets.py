@@ -40,6 +40,10 @@ class Plan:
     navigation: int
     mapping: int
 
+    def time_limit(self, seconds: int, meters: float) -> float:
+        """Return seconds, and those in which the robot drives some meters."""
+        return float(math.ceil(seconds + meters / min(PACE, 0.8 * make_robot(self.robot).max_speed)))
+
 
 MAPS = (("maze", "train"), ("smoothers_world", "validation"), ("depot", "test"), ("willow", "test"))
 """Maps of buildings that do not ship, with their splits."""
@@ -203,7 +207,7 @@ def draw_navigation(plan: Plan, world: World, seed: int, k: int) -> BenchTask:
             split=plan.split,
             robot=plan.robot,
             seed=seed,
-            time_limit=float(math.ceil(20 + 4 * info["shortest_path"] / pace(plan.robot))),
+            time_limit=plan.time_limit(20, 4 * info["shortest_path"]),
             world=plan.world,
             start=(x, y, yaw),
             goal=(goal_x, goal_y),
@@ -231,7 +235,7 @@ def draw_mapping(plan: Plan, world: World, seed: int) -> BenchTask:
             split=plan.split,
             robot=plan.robot,
             seed=seed,
-            time_limit=float(math.ceil(30 + 2 * budget / pace(plan.robot))),
+            time_limit=plan.time_limit(30, 2 * budget),
             world=plan.world,
             start=(x, y, yaw),
             path_budget=budget,
@@ -270,11 +274,6 @@ def free_ahead(grid: OccupancyGrid, areas: np.ndarray, x: float, y: float, yaw: 
         if not area_at(grid, areas, x + distance * math.cos(yaw), y + distance * math.sin(yaw)):
             return float(distance)
     return math.inf
-
-
-def pace(robot: str) -> float:
-    """Return the speed from which time limits are made, m/s."""
-    return min(PACE, 0.8 * make_robot(robot).max_speed)
 
 
 def rounded(values: np.ndarray) -> tuple[float, ...]:

@@ -24,11 +24,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 from scipy.optimize import minimize
 
-from benchmarks.steps import DATA, arguments
+from benchmarks.steps import DATA, arguments, print_rows
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
 from lirs_envs.generators.terrain import generate
@@ -60,6 +58,9 @@ CLASSES = ("works", "path only", "adds nothing", "loses its way", "not evaluated
 LETTERS = {name: name[0] for name in CLASSES}
 """Letter of each class in the table."""
 Key = tuple[str, str, str]
+Row = dict[str, Any]
+Point = tuple[float, float]
+"""Forecast and observed share."""
 ROBOTS = ("husky", "jackal")
 """Robots of the worlds of a family, in turn."""
 
@@ -304,11 +305,9 @@ def brier(predicted: FloatArray, data: MethodData) -> FloatArray:
     return share * (1 - predicted) ** 2 + (1 - share) * predicted**2
 
 
-def score_rows(
-    tables: Tables, rng: np.random.Generator
-) -> tuple[list[tuple[str, ...]], list[tuple[float, float]]]:
-    """Return a row of scores per method, and forecast and observed share of every world."""
-    rows, points = [], list[tuple[float, float]]()
+def score_rows(tables: Tables, rng: np.random.Generator) -> tuple[list[tuple[str, ...]], list[Point]]:
+    """Return a row of scores per method, and the point of every world."""
+    rows, points = [], list[Point]()
     for method in METHODS:
         data = data_of(method, tables)
         predictions = left_out_predictions(data)
@@ -320,16 +319,25 @@ def score_rows(
     return rows, points
 
 
-def evaluate(tables: Tables, console: Console) -> None:
+def evaluate(tables: Tables) -> None:
     """Print Brier scores, reliability, and error rates of the sequential test."""
     rng = np.random.default_rng(1)
     title = "Brier score, one family left out; gains over the others with their lower 90 % bound"
-    headings = ("method", "worlds", "drives", "forecast", "base rate", "walls")
+    headings = (
+        "method",
+        "worlds",
+        "drives",
+        "forecast",
+        "base rate",
+        "walls",
+        "over base rate",
+        "over walls",
+    )
     rows, points = score_rows(tables, rng)
-    table = Table(*headings, "over base rate", "over walls", title=title)
-    for row in rows:
-        table.add_row(*row)
-    console.print(table, reliability(points), stream_errors(rng), stored_errors(tables, rng))
+    print_rows((dict(zip(headings, row, strict=True)) for row in rows), title, width=130)
+    print_rows(reliability(points), "Reliability")
+    print_rows(stream_errors(rng), "10,000 random streams each", width=110)
+    print_rows(stored_errors(tables, rng), "Stored drives")
 
 
 def gain_text(gains: FloatArray, rng: np.random.Generator) -> str:
@@ -338,48 +346,42 @@ def gain_text(gains: FloatArray, rng: np.random.Generator) -> str:
     return f"{gains.mean():+.3f} (above {np.quantile(means, 0.1):+.3f})"
 
 
-def reliability(points: list[tuple[float, float]]) -> Table:
-    """Return the observed share by forecast, over methods and worlds."""
-    table = Table("forecast", "worlds", "mean forecast", "observed share", title="Reliability")
+def reliability(points: list[Point]) -> Iterator[Row]:
+    """Yield the observed share by forecast, over methods and worlds."""
     forecast, share = np.array(points).T
     for low in np.arange(0.0, 1.0, 0.2):
-        held = (forecast >= low) & (forecast < low + 0.2 + (low > 0.7))
-        if held.any():
-            shares = f"{forecast[held].mean():.2f}", f"{share[held].mean():.2f}"
-            table.add_row(f"{low:.1f} to {low + 0.2:.1f}", str(held.sum()), *shares)
-    return table
+        chosen = (forecast >= low) & (forecast < low + 0.2 + (low > 0.7))
+        if chosen.any():
+            row = {"forecast": f"{low:.1f} to {low + 0.2:.1f}", "worlds": int(chosen.sum())}
+            yield row | {"mean": float(forecast[chosen].mean()), "observed": float(share[chosen].mean())}
 
 
-def stream_errors(rng: np.random.Generator, streams: int = 10_000) -> Table:
-    """Return the error rates and lengths of the sequential test on random streams."""
-    headings = ("share", "accepted", "rejected", "drives, mean", "interval holds the share")
-    table = Table(*headings, title=f"{streams} random streams each")
+def stream_errors(rng: np.random.Generator, streams: int = 10_000) -> Iterator[Row]:
+    """Yield the error rates and lengths of the sequential test on random streams."""
     for share in (P0, P1):
         ends = [end_of(rng.random(1000) < share) for _ in range(streams)]
         accepted = sum(test.outcome == "accepted" for test in ends) / streams
-        length = np.mean([test.successes + test.failures for test in ends])
+        length = float(np.mean([test.successes + test.failures for test in ends]))
         covered = sum(test.interval[0] <= share <= test.interval[1] for test in ends) / streams
-        rates = (f"{value:.3f}" for value in (accepted, 1 - accepted))
-        table.add_row(f"{share:g}", *rates, f"{length:.1f}", f"{covered:.3f}")
-    return table
+        row = {"share": share, "accepted": accepted, "rejected": 1 - accepted, "drives, mean": length}
+        yield row | {"interval holds the share": covered}
 
 
-def stored_errors(tables: Tables, rng: np.random.Generator, orders: int = 100) -> Table:
-    """Return decisions on the stored drives in random orders, by the share of all of them."""
-    table = Table("share of all drives", "worlds", "accepted", "rejected", "undecided", title="Stored drives")
-    rows: dict[str, list[float]] = {}
+def stored_errors(tables: Tables, rng: np.random.Generator, orders: int = 100) -> Iterator[Row]:
+    """Yield decisions on the stored drives in random orders, by the share of all of them."""
+    rows: dict[str, list[list[str | None]]] = {}
     for method in METHODS:
         data = data_of(method, tables)
         for share, letters in zip(data.successes / data.drives, data.classes, strict=True):
             key = "at least 0.9" if share >= P1 else "at most 0.65" if share <= P0 else "between"
             works = np.array([letter == "w" for letter in letters.replace("n", "")])
             ends = [end_of(rng.permutation(works)).outcome for _ in range(orders)]
-            shares = (ends.count("accepted"), ends.count("rejected"), ends.count(None))
-            row = rows.setdefault(key, [0, 0, 0, 0])
-            rows[key] = [row[0] + 1, *(total + n / orders for total, n in zip(row[1:], shares, strict=True))]
-    for key, (worlds, *decided) in rows.items():
-        table.add_row(key, f"{worlds:.0f}", *(f"{total / worlds:.2f}" for total in decided))
-    return table
+            rows.setdefault(key, []).append([*ends])
+    for key, worlds in rows.items():
+        together = [end for ends in worlds for end in ends]
+        kinds = {"accepted": "accepted", "rejected": "rejected", "undecided": None}
+        shares = {name: together.count(kind) / len(together) for name, kind in kinds.items()}
+        yield {"share of all drives": key, "worlds": len(worlds)} | shares
 
 
 def end_of(stream: BoolArray) -> SequentialTest:
@@ -399,16 +401,15 @@ def main(words: Sequence[str] | None = None) -> None:
     options = arguments(__doc__, "action", words=words, **defaults)
     options.tables = Tables(options.tables)
     options.methods = read_names(options.methods, "--methods")
-    if options.action == "drive":
-        drive(options)
-    elif options.action == "features":
-        find_features(options)
+    actions = {"drive": drive, "features": find_features}
+    if options.action in actions:
+        actions[options.action](options)
     elif options.action == "evaluate":
-        evaluate(options.tables, Console(width=110))
+        evaluate(options.tables)
     elif options.action == "fit":
         write_json(Path(forecast.__file__).with_name(forecast.MODELS), fit_models(options.tables))
     else:
-        Console(width=110).print(stream_errors(np.random.default_rng(1)))
+        print_rows(stream_errors(np.random.default_rng(1)), width=110)
 
 
 if __name__ == "__main__":

@@ -21,54 +21,41 @@ Kind = Literal["switch", "choice", "slider", "text", "file"]
 
 @dataclass(frozen=True)
 class Control:
-    """A control of one option; its value is a bool, a float, or text."""
+    """A control of one option; its value is a bool, a float, or text.
+
+    Attributes:
+        title: Label; the paper's name if it has one.
+        hint: Help of the option, with the form of a text.
+        choices: Legal values of a choice.
+        initial: Value that stands for the option's default.
+    """
 
     option: Option
+    name: str
+    title: str
+    hint: str
+    kind: Kind
+    choices: tuple[str, ...]
+    initial: bool | float | str
 
-    @property
-    def name(self) -> str:
-        """Name of the option's field."""
-        return self.option.name
-
-    @property
-    def title(self) -> str:
-        """Label; the paper's name if it has one."""
-        return self.option.title or self.option.label
-
-    @property
-    def hint(self) -> str:
-        """Help of the option, with the form of a text."""
-        form = f" Form: {self.option.metavar}." if self.kind == "text" and self.option.metavar else ""
-        return without_flags(f"{self.option.help}{form}")
-
-    @property
-    def kind(self) -> Kind:
-        """Kind of control."""
-        if self.option.type is bool:
-            return "switch"
-        if self.option.slider is not None:
-            return "slider"
-        if Path in self.option.types:
-            return "file"
-        return "choice" if self.choices else "text"
-
-    @property
-    def choices(self) -> tuple[str, ...]:
-        """Legal values of a choice."""
-        names = self.option.choices
-        return (DEFAULT, *names) if names and self.option.default is None else names
-
-    @property
-    def initial(self) -> bool | float | str:
-        """Value of the control that stands for the default."""
-        default = self.option.default
-        if self.option.slider is not None:
-            return self.option.slider.neutral
+    @staticmethod
+    def of(option: Option) -> Control:
+        """Return the control of an option."""
+        default, choices = option.default, option.choices
+        initial: bool | float | str = f"{default:g}" if isinstance(default, float) else str(default)
+        kind: Kind = "choice" if choices else "text"
         if default is None:
-            return DEFAULT if self.kind == "choice" else ""
-        if self.option.type is bool:
-            return bool(default)
-        return f"{default:g}" if isinstance(default, float) else str(default)
+            choices = (DEFAULT, *choices) if choices else ()
+            initial = DEFAULT if choices else ""
+        if option.type is bool:
+            kind, initial = "switch", bool(default)
+        elif option.slider is not None:
+            kind, initial = "slider", option.slider.neutral
+        elif Path in option.types:
+            kind = "file"
+        form = f" Form: {option.metavar}." if kind == "text" and option.metavar else ""
+        title, hint = option.title or option.label, without_flags(f"{option.help}{form}")
+        return Control(option, option.name, title, hint, kind, choices, initial)
 
     def shown_for(self, source: SourceKind) -> bool:
         """Whether the option has an effect on a source."""
@@ -88,7 +75,7 @@ class Control:
 
 def controls(options: type[Options]) -> Iterator[Control]:
     """Yield a control for every option of a class that the page offers."""
-    yield from (Control(option) for option in declared(options).values() if option.on_page)
+    yield from (Control.of(option) for option in declared(options).values() if option.on_page)
 
 
 def to_goal(config: RunConfig, start: tuple[float, float], goal: tuple[float, float]) -> RunConfig:
