@@ -151,6 +151,8 @@ def _grid(metadata: MapMetadata, max_pixels: int) -> OccupancyGrid:
         grid = replace(grid, log_odds=grid.log_odds[0][level])
     if pixels.shape[2:] == (4,) and metadata.mode != "raw":
         grid.log_odds[pixels[..., 3] < full] = np.nan
+    if pixels.ndim == 3 and metadata.mode == "trinary":
+        _warn_of_averages(metadata, pixels.mean(axis=2) / full, grid)
     return grid
 
 
@@ -167,6 +169,20 @@ def _probability(shade: FloatArray, metadata: MapMetadata) -> FloatArray:
     between = (p - metadata.free_thresh) / span if scaled else np.full(p.shape, np.nan)
     known = np.where(single >= np.float32(metadata.occupied_thresh), 1.0, between)
     return np.where(single <= np.float32(metadata.free_thresh), 0.0, known)
+
+
+def _warn_of_averages(metadata: MapMetadata, shade: FloatArray, grid: OccupancyGrid) -> None:
+    """Warn where the older rule, the mean of all channels with alpha, differs."""
+    p = shade if metadata.negate else 1 - shade
+    occupied = p > metadata.occupied_thresh
+    free = (p < metadata.free_thresh) & ~occupied
+    if (occupied != grid.occupied).any() or (free != grid.free).any():
+        warnings.warn(
+            f"{metadata.image}: {grid.occupied.sum():,} occupied and {grid.free.sum():,} free cells, as in "
+            f"nav2 since Jazzy (transparent is unknown); {occupied.sum():,} and {free.sum():,} in Humble and "
+            "ROS 1, which average alpha with the colors",
+            stacklevel=4,
+        )
 
 
 def map_entries(path: Path, content: bytes) -> dict[str, Entry]:
