@@ -163,6 +163,15 @@ def test_options_of_reset(plane: World, task: str, options: dict[str, Any], word
     env.reset(seed=1)
 
 
+@pytest.mark.parametrize("action", [np.zeros(3), 0.5, np.zeros((1, 2)), np.array((np.nan, 0.0)), "ahead"])
+def test_wrong_actions(plane: World, action: Any) -> None:
+    env = RobotEnv("mapping", world=plane)
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match=r"(actions must be numbers of shape|an action must be finite)"):
+        env.step(action)
+    env.step(np.zeros(2))
+
+
 def test_goals_and_starts_that_cannot_be(rough: World) -> None:
     env = RobotEnv("navigation", world=rough)
     with pytest.raises(SimulationError, match=r"no way leads from .* to the goal \(9\.00, 40\.00\)"):

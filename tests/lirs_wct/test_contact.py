@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from hypothesis import given, strategies as st
 
-from lirs_wct.contact.parts import FEW_FACES, bodies, convex_parts, shell_parts, touching_volume
+from lirs_wct.contact.parts import FEW_FACES, _thickness, bodies, convex_parts, shell_parts, touching_volume
 from lirs_wct.contact.spec import ContactGrid, contact_grid, steep_nodes
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -178,6 +178,18 @@ def test_a_thin_board_is_halved_not_pierced() -> None:
     assert np.abs(parts[..., 2]).max() == pytest.approx(0.01)
     top = parts[(parts[:, :3, 2] > 0.0099).all(axis=1)]
     assert (top[..., 2] >= 0.0).all()
+
+
+def test_the_way_to_the_next_face_is_that_of_trimeshs_rays(ring: trimesh.Trimesh) -> None:
+    normals = np.ascontiguousarray(ring.vertex_normals)
+    mine = _thickness(np.asarray(ring.vertices), np.asarray(ring.faces, np.int32), normals, 1e-6)
+    some = np.arange(0, len(normals), 13)
+    origins = ring.vertices[some] - 1e-4 * normals[some]
+    hits, ray, _ = trimesh.ray.ray_triangle.RayMeshIntersector(ring).intersects_location(
+        origins, -normals[some], multiple_hits=False
+    )
+    distance = np.linalg.norm(hits - ring.vertices[some][ray], axis=1)
+    np.testing.assert_allclose(mine[some][ray], distance, atol=1e-6)
 
 
 def test_inside_is_what_trimesh_says_and_overlaps_count_once(ring: trimesh.Trimesh) -> None:

@@ -21,6 +21,24 @@ def listing(folder: Path) -> list[str]:
     return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*"))
 
 
+def test_a_file_appears_when_the_block_ends(tmp_path: Path) -> None:
+    target = tmp_path / "deep" / "map.pgm"
+    with atomic_write(target) as temporary:
+        assert temporary.suffix == ".pgm"
+        temporary.write_text("new")
+        assert not target.exists()
+    assert target.read_text() == "new"
+    assert listing(tmp_path) == ["deep", "deep/map.pgm"]
+
+
+def test_a_folder_is_replaced_by_the_new_one(tmp_path: Path) -> None:
+    target = tmp_path / "world"
+    for name in ("first", "second"):
+        with atomic_folder(target) as temporary:
+            (temporary / name).write_text(name)
+    assert listing(tmp_path) == ["world", f"world/{MANIFEST}", "world/second"]
+
+
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 @pytest.mark.parametrize("write", [atomic_write, atomic_folder, staged_files])
 def test_a_write_that_is_broken_off_leaves_the_old_files(

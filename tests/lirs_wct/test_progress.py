@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from lirs_wct.export.appearance import cube_uv
 from lirs_wct.export.package import FORMATS, write_package
+from lirs_wct.formats.meshes.writers import MeshPart, write_parts
 from lirs_wct.geometry import HeightField
 from lirs_wct.ground import Terrain
+from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.progress import Steps, track
 from lirs_wct.world import World
 
@@ -44,3 +47,13 @@ def test_a_package_tells_each_file(formats: tuple[str, ...], tmp_path: Path) -> 
     assert shares[-1] <= 1.0
     assert "dunes.dae" not in [name for name, _ in told] or "dae" in formats
     assert {"world.json"} < {name for name, _ in told}
+
+
+def test_a_streamed_file_ticks_tile_by_tile(tmp_path: Path) -> None:
+    z = np.random.default_rng(2).random((200, 200)).astype(np.float32)
+    told: list[float] = []
+    part = MeshPart("ground", cube_uv(solid_mesh(HeightField(z, (0.1, 0.1), (0.0, 0.0)))))
+    write_parts(tmp_path / "a.dae", [part], lambda _, share: told.append(share))
+    assert len(told) > 3
+    assert told == sorted(told)
+    assert told[-1] == 1.0

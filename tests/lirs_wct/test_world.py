@@ -26,6 +26,34 @@ def picture(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def floor(tmp_path: Path) -> Path:
+    """A room of 6 x 4 m with a wall inside, as map_server has it."""
+    pixels = np.full((80, 120), 254, np.uint8)
+    pixels[[0, -1], :] = pixels[:, [0, -1]] = 0
+    pixels[30:50, 60] = 0
+    cv2.imwrite(str(tmp_path / "room.pgm"), pixels)
+    path = tmp_path / "room.yaml"
+    path.write_text(
+        "image: room.pgm\nresolution: 0.05\norigin: [-1.0, -2.0, 0.3]\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\nnegate: 0\n"
+    )
+    return path
+
+
+def test_a_map_keeps_its_own_frame(floor: Path) -> None:
+    world = build_world(floor, BuildOptions(wall_height=1.5))
+    assert world.kind == "map"
+    assert world.walls is not None
+    assert world.walls.origin == Pose2(-1.0, -2.0, 0.3)
+    inner = world.walls.origin.apply((60.5 * 0.05, 40 * 0.05))
+    assert world.truth is not None
+    row, col = world.truth.cells(inner)
+    assert world.walls.solid[row, col]
+    assert world.walls.height == 1.5
+    assert all(world.surface.contains(*corner) for corner in world.walls.corners * 0.999)
+
+
 def test_every_kind_of_ground_reads_back(tmp_path: Path) -> None:
     """Keys and arrays of `world.json` are what folders in use hold."""
     surface = HeightField.centered(np.eye(3, dtype=np.float32), (0.5, 0.5))
@@ -130,9 +158,12 @@ def test_a_world_too_large_to_search_says_so() -> None:
         world.traversable(clearance=0.5, max_slope=0.3)
 
 
-def test_a_start_outside_is_told_how_far_the_world_reaches() -> None:
-    expected = (
-        "simple: no robot can start at 0,-400: that is outside the world, whose x is -25 to 25 m and y -25"
-    )
-    with pytest.raises(ConfigError, match=expected):
-        build_world("simple", BuildOptions(start=Pose2(0.0, -400.0)))
+@pytest.mark.parametrize("source", ["simple", "medium"])
+@pytest.mark.parametrize(("x", "y"), [(400.0, 0.0), (0.0, -400.0)])
+def test_a_start_outside_is_told_how_far_the_world_reaches(source: str, x: float, y: float) -> None:
+    west, south, east, north = build_world(source).surface.bounds
+    with pytest.raises(ConfigError) as caught:
+        build_world(source, BuildOptions(start=Pose2(x, y)))
+    said = str(caught.value)
+    assert said.startswith(f"{source}: no robot can start at {x:g},{y:g}: that is outside the world")
+    assert f"x is {west:.5g} to {east:.5g} m and y {south:.5g} to {north:.5g} m" in said

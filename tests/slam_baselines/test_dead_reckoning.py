@@ -14,6 +14,7 @@ from slam_baselines.dead_reckoning import (
     DeadReckoning,
     MotionConfig,
     PoseEstimate,
+    climb,
     spatial_odometry,
 )
 
@@ -152,3 +153,9 @@ def test_a_circle_on_an_incline_returns_to_its_height() -> None:
     rises = [pose.z - math.tan(slope) * pose.x for pose in poses]
     np.testing.assert_allclose(rises, 0.0, atol=1e-4)
     assert max(pose.z for pose in poses) == pytest.approx(radius * math.tan(slope), abs=1e-3)
+
+
+def test_a_step_stays_in_the_plane_of_the_wheels() -> None:
+    up = np.array((0.1, -0.2, 0.9))
+    step = np.array((0.3, 0.1, climb(0.3, 0.1, up)))
+    assert step @ up == pytest.approx(0.0, abs=1e-12)

@@ -11,7 +11,7 @@ from lirs_validation.logs.read_log import read_reference
 from lirs_validation.metrics.mapped_log import reference_errors
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.hector import HectorMapper
 from tests.slam_baselines.synthetic import Drive, drive_room, loop, ranges_to, room_scan, wavy
 
@@ -183,3 +183,17 @@ def test_csail_thinned_to_a_scan_a_meter(shared_data: Path, skipped: float) -> N
             meters = radians = 0.0
     errors = reference_errors(mapper.trajectory(), read_reference(folder / "reference_poses.log.gz"))
     assert np.sqrt((errors.position**2).mean()) < 1.0
+
+
+def test_nothing_in_a_scan_breaks_it() -> None:
+    mapper, rng = HectorMapper(), np.random.default_rng(0)
+    good = room_scan(Pose2(), 0.0, rng)
+    odd = np.array((np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30), np.float32)
+    for k, ranges in enumerate(
+        (np.zeros(0, np.float32), odd, good.ranges, np.full(361, np.nan, np.float32), odd, good.ranges)
+    ):
+        for imu in (None, Imu(0.1, -0.1)):
+            pose = mapper.update(replace(good, ranges=ranges, stamp=float(k)), None, imu)
+            assert np.isfinite(pose.as_array()).all()
+    assert mapper.map().known.any()
+    assert len(mapper.trajectory()) == 6

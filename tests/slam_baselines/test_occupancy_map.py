@@ -74,6 +74,22 @@ def test_the_scratch_of_many_scans_is_as_good_as_a_fresh_one() -> None:
     np.testing.assert_array_equal(kept.layers.log_odds, fresh.layers.log_odds)
 
 
+def test_a_hit_wins_over_beams_that_pass() -> None:
+    grid = OccupancyMap(0.05)
+    beyond = np.array(((1.0, 0.02, 0.4), (2.0, 0.02, 0.4)))
+    enter(grid, beyond)
+    assert at(grid, 1.0, 0.02) == pytest.approx(HIT * STEP)
+    assert at(grid, 0.5, 0.02) == pytest.approx(MISS * STEP)
+
+
+def test_the_map_grows_and_keeps_what_it_knew() -> None:
+    grid = OccupancyMap(0.1)
+    enter(grid, np.array(((1.0, 1.0, 0.4),)))
+    enter(grid, np.array(((-40.0, 33.0, 0.4),)))
+    assert at(grid, 1.0, 1.0) == pytest.approx(HIT * STEP)
+    assert at(grid, -40.0, 33.0) == pytest.approx(HIT * STEP)
+
+
 def test_log_odds_stay_within_their_limit_and_recover() -> None:
     grid = OccupancyMap(0.05)
     for _ in range(50):
@@ -108,6 +124,12 @@ def test_a_beam_high_above_a_proven_wall_leaves_it_alone() -> None:
                 wall_slope=50,
             )
     assert at(high, 1.0, 0.02) > 0 > at(low, 1.0, 0.02)
+
+
+def test_beams_without_return_clear_to_their_end() -> None:
+    grid = OccupancyMap(0.05)
+    enter(grid, NONE, free=np.array(((1.0, 0.02, 0.4),)))
+    assert at(grid, 0.99, 0.02) == pytest.approx(MISS * STEP)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 120), st.integers(0, 120))

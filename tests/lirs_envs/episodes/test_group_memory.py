@@ -10,6 +10,7 @@ from gymnasium import spaces
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.observations import GROUPS, SCANS, Group
 from lirs_envs.tasks.task import Stage, Task
+from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.world import World
 
 
@@ -25,6 +26,27 @@ def test_the_history_holds_the_last_scans(rough: World) -> None:
             observation, *_ = env.step(rng.uniform(-1, 1, 2).astype(np.float32))
             seen.insert(0, observation["scan"])
     assert not (observation["scans"][0] == observation["scans"][1]).all()
+
+
+def test_rows_of_a_vector_remember_what_single_environments_do(plane: World) -> None:
+    """Also across episodes that end at different steps."""
+    options: dict[str, Any] = {"world": plane, "observe": ["scans"], "noise": "none", "difficulty": 0.0}
+    vector = RobotVectorEnv(3, "navigation", autoreset_mode="SameStep", **options)
+    singles = [RobotEnv("navigation", **options) for _ in range(3)]
+    together, _ = vector.reset(seed=7)
+    alone = [env.reset(seed=7 + i)[0] for i, env in enumerate(singles)]
+    ends, actions = 0, np.array(((1.0, 0.0), (0.9, 0.05), (0.0, 0.5)), np.float32)
+    for _ in range(70):
+        for i in range(3):
+            np.testing.assert_array_equal(together["scans"][i], alone[i]["scans"])
+        together, _, terminated, _, infos = vector.step(actions)
+        for i, env in enumerate(singles):
+            alone[i], _, over, *_ = env.step(actions[i])
+            assert over == terminated[i]
+            if over:
+                np.testing.assert_array_equal(infos["final_obs"][i]["scans"], alone[i]["scans"])
+                alone[i], ends = env.reset()[0], ends + 1
+    assert ends > 0
 
 
 class Steps:

@@ -12,7 +12,7 @@ from lirs_envs.episodes.observations import GROUPS
 from lirs_extensions.bench.episode import RECORD, EpisodeTask
 from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.results import difference_line, read_results, score_of, share_of_bound
-from lirs_extensions.bench.scores import coverage_area, success_by_path_length
+from lirs_extensions.bench.scores import coverage_area, distance_share, success_by_path_length
 from lirs_extensions.bench.tasks import BenchTask, TaskSet
 from lirs_validation.sweep.sweep import Outcome
 
@@ -133,6 +133,12 @@ def test_coverage_area_of_a_ramp() -> None:
     assert coverage_area([0.0, 0.0, 0.0], [0.3, 0.3, 0.3], 10.0) == 0.0
 
 
+def test_distance_share_is_within_0_and_1() -> None:
+    assert distance_share(5.0, 20.0) == 0.25
+    assert distance_share(-3.0, 20.0) == 0.0
+    assert distance_share(21.0, 20.0) == 1.0
+
+
 def test_a_score_has_an_interval_that_is_the_same_each_time() -> None:
     values = np.random.default_rng(3).random(40).tolist()
     score = score_of(values)
@@ -152,3 +158,15 @@ def test_scores_of_one_and_of_equal_tasks() -> None:
     assert (one.low, one.count) == (None, 1)
     assert equal is not None
     assert (equal.low, equal.high) == (0.0, 0.0)
+
+
+def test_the_interval_covers_the_mean_about_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(5)
+    covered = 0
+    for _ in range(60):
+        score = score_of((rng.random(30) < 0.6).astype(float).tolist())
+        assert score is not None
+        assert score.low is not None
+        assert score.high is not None
+        covered += score.low <= 0.6 <= score.high
+    assert covered >= 50

@@ -11,7 +11,7 @@ from lirs_extensions.clouds.evalio import PIPELINES, EvalioConfig
 from lirs_extensions.clouds.packages import TimedOdometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import ImuReadings, PointCloud, Pose3
-from slam_baselines.mapper import make_cloud_mapper
+from slam_baselines.mapper import CLOUD_MAPPERS, make_cloud_mapper
 
 TYPES = """
 import numpy as np
@@ -187,3 +187,12 @@ def test_an_unorganized_cloud_is_refused_where_it_would_end_the_process(evalio: 
         make_cloud_mapper("evalio:loam").update(sweep(0.0, organized=False), None)
     make_cloud_mapper("evalio:genz").update(sweep(0.0, organized=False), None)
     assert called(evalio(), "add_lidar")
+
+
+def test_each_pipeline_is_a_mapper() -> None:
+    named = {name.partition(":")[2] for name in CLOUD_MAPPERS if name.startswith("evalio:")}
+    assert named == set(PIPELINES)
+    for name, kind in PIPELINES.items():
+        needs = CLOUD_MAPPERS[f"evalio:{name}"].needs
+        expected = kind.rolling, kind.organized, kind.inertial
+        assert ("rolling" in needs, "organized" in needs, "inertial" in needs) == expected

@@ -23,6 +23,7 @@ from lirs_extensions.clouds.wheel_lio.registration import (
     SweepPoints,
     deskew,
     find_edges,
+    find_weak,
     linearize,
     register,
     thin,
@@ -92,6 +93,16 @@ def test_turns_are_weighed_by_the_arc_of_the_points() -> None:
         match = register(seen_points(points, 0.3 * scale), voxels, AT_ORIGIN, rule)
         values.append(match.constraint.values)
     np.testing.assert_allclose(values[0], values[1], rtol=0.1)
+
+
+def test_eigenvalues_below_the_limit_are_weak() -> None:
+    turn = Rotation.random(random_state=3).as_matrix()
+    information = np.diag((0.5, 0.5, 0.5, 0.3, 0.3, 0.3))
+    information[:3, :3] = turn @ np.diag((0.02**2, 0.04**2, 0.9)) @ turn.T
+    constraint = find_weak(information, 0.03)
+    np.testing.assert_allclose(constraint.values[:2], (0.02**2, 0.04**2))
+    assert constraint.weak.tolist() == [True] + 5 * [False]
+    np.testing.assert_allclose(abs(constraint.weak_directions[0, :3] @ turn[:, 0]), 1.0)
 
 
 def test_registration_recovers_a_known_transform() -> None:

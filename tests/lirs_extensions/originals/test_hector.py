@@ -5,7 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_extensions.originals.hector import HectorOriginalConfig, HectorOriginalMapper, OriginalMap
+from lirs_extensions.originals.hector import (
+    HectorOriginalConfig,
+    HectorOriginalMapper,
+    OriginalMap,
+    _interpolate,
+)
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Pose2, Trajectory
 from lirs_wct.errors import ConfigError
@@ -51,6 +56,15 @@ def test_the_first_scans_are_matched_as_the_original_matches_them(
         found = mapper.update(log.scans[k], log.odometry[k], None)
         assert found.distance(original.pose2(k)) < 2e-5
         assert abs(found.yaw - original.pose2(k).yaw) < 2e-5
+
+
+def test_interpolation_is_exact_at_the_cells_centers() -> None:
+    field = np.random.default_rng(1).random((6, 7)).astype(np.float32)
+    for row in range(5):
+        for col in range(6):
+            assert _interpolate(field, float(col), float(row))[0] == pytest.approx(field[row, col])
+    assert _interpolate(field, 6.0, 2.0) == (0.0, 0.0, 0.0)
+    assert _interpolate(field, -0.1, 2.0) == (0.0, 0.0, 0.0)
 
 
 def test_a_hit_wins_over_a_beam_that_passes() -> None:

@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -20,10 +22,47 @@ def started(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[st
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
 
 
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """A folder of things that a user may get wrong."""
+    good = np.tile(np.arange(65, dtype=np.uint8) * 3, (65, 1))
+    cv2.imwrite(str(tmp_path / "good.png"), good)
+    data = (tmp_path / "good.png").read_bytes()
+    (tmp_path / "cut.png").write_bytes(data[: len(data) // 2])
+    (tmp_path / "a_file").write_text("in the way")
+    return tmp_path
+
+
+BAD = {
+    "missing": (("build", "nowhere.png"), "nowhere.png: no such file"),
+    "truncated": (("build", "cut.png"), "cut.png: "),
+    "no world": (("validate", "smple"), "simple, medium, advanced"),
+    "words": (("validate", "simple", "--seconds", "ten"), "--seconds"),
+    "no option": (("build", "good.png", "--sizes", "3"), "--sizes"),
+    "no folder": (("build", "good.png", "-o", "a_file"), "a_file"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_code_2(case: str, files: Path, wct: Any) -> None:
+    arguments, expected = BAD[case]
+    before = sorted(files.rglob("*"))
+    code, _, err = wct(*arguments)
+    assert code == 2, err
+    assert expected in err
+    assert err.count("\n") == 1, "one line, and no empty one before it"
+    assert sorted(files.rglob("*")) == before
+
+
 @pytest.mark.slow
-def test_a_process_ends_with_code_2_and_without_a_traceback(tmp_path: Path) -> None:
-    done = started("build", "nowhere.png", cwd=tmp_path)
+def test_a_process_ends_with_code_2_and_without_a_traceback(files: Path) -> None:
+    done = started(*BAD["truncated"][0], cwd=files)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+
+
+def test_an_old_command_names_the_new_way(wct: Any) -> None:
+    code, _, err = wct("view", "good.png")
+    assert (code, err.strip()) == (2, "lirs-wct: view: is now lirs-wct info SOURCE -o PICTURE.png")
 
 
 def test_no_command_shows_the_help_and_nothing_else(wct: Any) -> None:
@@ -90,7 +129,13 @@ def test_an_address_that_is_taken_is_one_line(wct: Any) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        for address in (("127.0.0.1", str(port)), ("192.0.2.1", "0")):
-            code, _, err = wct("gui", "--host", address[0], "--port", address[1])
-            assert code == 2
-            assert f"{':'.join(address)}: cannot be listened at" in err
+        code, _, err = wct("gui", "--port", str(port))
+    assert code == 2
+    assert f"127.0.0.1:{port}: cannot be listened at" in err
+
+
+def test_an_address_of_another_machine_is_one_line(wct: Any) -> None:
+    pytest.importorskip("viser")
+    code, _, err = wct("gui", "--host", "192.0.2.1", "--port", "0")
+    assert code == 2
+    assert "192.0.2.1:0: cannot be listened at" in err

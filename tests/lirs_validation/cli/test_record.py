@@ -29,6 +29,12 @@ def test_a_drive_is_recorded_into_the_folder_that_is_named(wct: Any, tmp_path: P
     assert "run: holds another run, simple-husky-hector-s1-" in complaint
 
 
+@pytest.mark.slow
+def test_what_was_recorded_is_mapped(wct: Any) -> None:
+    assert wct("record", "simple", *SMALL, "-o", "run")[0] == 0
+    assert wct("map", "run", "--mapper", "hector", "--scan-topic", "/scan", "-o", "maps")[0] == 0
+
+
 def test_several_drives_are_recorded_beside_each_other(wct: Any, tmp_path: Path) -> None:
     code, _, _ = wct("record", "simple", *SMALL, "--seed", "1-2", "-o", "bags")
     assert code == 0
@@ -44,3 +50,18 @@ def test_a_folder_of_something_else_is_not_replaced(wct: Any, tmp_path: Path) ->
     assert (code, complaint.count("\n")) == (2, 1)
     assert "notes: holds something else than a run" in complaint
     assert (tmp_path / "notes" / "mine.txt").read_text() == "kept"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("validate", "simple", "--bag"), "--bag: is now lirs-wct record"),
+        (("record", "simple", "--storage", "zip"), "--storage must be mcap or sqlite3, got 'zip'"),
+        (("record",), "nothing to validate"),
+    ],
+)
+def test_bad_input_is_one_line(arguments: tuple[str, ...], expected: str, wct: Any, tmp_path: Path) -> None:
+    code, _, complaint = wct(*arguments)
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert expected in complaint
+    assert list(tmp_path.iterdir()) == []

@@ -71,7 +71,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         (("--suite", "papr"), "unknown suite 'papr'; legal: paper"),
         (("simple", "--suite", "paper", "--robot", "husky"), "leave out --robot, sources"),
         (("--suite", "paper", "--size", "3"), "leave out options of build"),
-        (("simple", "--limits", "limits.yaml"), "--limits is for --gate"),
     ],
 )
 def test_bad_input_is_one_line_before_anything_runs(
@@ -129,6 +128,15 @@ def test_the_gate_fails_unless_every_verdict_is_accepted(
 @pytest.mark.usefixtures("quick")
 def test_a_failed_run_ends_with_code_3_and_not_that_of_the_gate(wct: Any) -> None:
     assert wct("validate", "simple", "--seed", "1,3", "--gate")[0] == 3
+
+
+@pytest.mark.usefixtures("quick")
+def test_limits_need_the_gate(wct: Any, tmp_path: Path) -> None:
+    (tmp_path / "limits.yaml").write_text("f1_aligned: 0.9\n")
+    code, _, message = wct("validate", "simple", "--limits", "limits.yaml")
+    assert (code, message.count("\n")) == (2, 1)
+    assert "--limits is for --gate" in message
+    assert not (tmp_path / "out").exists()
 
 
 OFFICE = Path(__file__).parents[3] / "examples/data/office.yaml"

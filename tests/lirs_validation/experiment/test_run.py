@@ -19,7 +19,7 @@ from lirs_validation.experiment.mapper_under_test import LOST_SECONDS
 from lirs_validation.experiment.run import Run, prepare
 from lirs_validation.processes import is_shared
 from lirs_validation.sweep.tasks import RunTask
-from lirs_wct.errors import SimulationError
+from lirs_wct.errors import MapperError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.progress import no_progress
@@ -147,6 +147,13 @@ def test_a_drive_stops_at_its_wall_limit_and_says_so() -> None:
     assert log.status == "wall limit"
     assert 0.2 <= sum(log.tick_seconds) < 0.4
     assert "of 20 simulated seconds" in log.reason
+
+
+def test_a_pose_of_nan_ends_the_drive_with_the_scans_stamp() -> None:
+    puppet, mapper = Puppet("nothing", 0), SlowPuppet()
+    mapper.update = lambda *_: Pose2(float("nan"), 0, 0)  # type: ignore[method-assign]
+    with pytest.raises(MapperError, match=r"scan at 0\.000 s"):
+        drive_log(puppet, puppet, mapper.under_test, 1.0)  # type: ignore[arg-type]
 
 
 class QueueingMapper(HectorMapper):

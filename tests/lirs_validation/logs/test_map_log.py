@@ -107,10 +107,9 @@ def test_the_same_seed_gives_the_same_bytes(room: Path, tmp_path: Path) -> None:
 def test_the_digest_tells_maps_apart_and_not_their_judges() -> None:
     config = MapConfig(log="a.clf")
     assert config.digest(b"x") == replace(config, log="b.clf", relations="r", reference="t").digest(b"x")
-    others = [{"seed": 2}, {"fov": 270.0}, {"mapper": "hector"}, {"attitude": "none"}]
-    digests = {config.digest(b"x"), config.digest(b"y"), config.digest(b"x", b"readings")}
-    digests |= {replace(config, **other).digest(b"x") for other in others}
-    assert len(digests) == 7
+    others = [replace(config, seed=2), replace(config, fov=270.0), replace(config, mapper="hector")]
+    digests = {c.digest(b"x") for c in (config, *others)} | {config.digest(b"y")}
+    assert len(digests) == 5
 
 
 def test_without_odometry_hector_maps_and_the_others_say_what_they_need(room: Path) -> None:

@@ -11,6 +11,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from lirs_validation import map_log
+from lirs_validation.config import MapConfig
+from lirs_validation.logs.map_log import folder_name
 from lirs_validation.logs.read_log import read_reference, truth_in_time
 from lirs_validation.metrics.mapped_log import RelativePoseConstraint
 from lirs_wct.errors import ConfigError, SourceError
@@ -130,6 +132,14 @@ def test_each_scan_gets_the_reading_at_its_stamp(
     else:
         assert readings[:-2] == pytest.approx([0.01 * k for k in range(SCANS - 2)])
         assert readings[-2:] == [None, None]
+
+
+def test_readings_and_attitude_tell_folders_apart_and_neither_changes_older_names(recorded: Path) -> None:
+    log, imu = str(recorded / "scans.clf.gz"), str(recorded / "imu.csv.gz")
+    configs = [MapConfig(log=log), MapConfig(log=log, imu=imu), MapConfig(log=log, imu=imu, attitude="none")]
+    names = {folder_name(config) for config in configs}
+    assert len(names) == 3
+    assert MapConfig(log=log, attitude="imu").digest(b"") == MapConfig(log=log).digest(b"")
 
 
 def test_a_log_without_the_comment_has_no_recorded_mount(recorded: Path, tmp_path: Path) -> None:

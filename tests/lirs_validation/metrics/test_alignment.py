@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
+from lirs_validation.metrics.map import map_scores
 from lirs_validation.metrics.trajectory import (
     MAX_GAP,
     associated,
@@ -18,6 +19,7 @@ from lirs_validation.metrics.trajectory import (
     scan_coverage,
     start_alignment,
 )
+from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2, Trajectory, wrap_angle, wrap_angles
 
 # Whole eighths: many stamps coincide and lie halfway, and nothing is rounded.
@@ -119,6 +121,7 @@ def test_points_in_one_place_are_shifted_only() -> None:
     assert rigid_alignment(here, here + np.array((1.0, -4.0))) == Pose2(1.0, -4.0, 0.0)
 
 
+FLAT = HeightField(np.zeros((2, 2), np.float32), (60.0, 60.0), (-30.0, -30.0))
 START = Pose2(20.0, -7.0, 0.4)
 
 
@@ -126,6 +129,14 @@ def path(n: int = 101) -> Trajectory:
     """A half circle from the start pose on, in the world frame, 25 scans a second."""
     arc = [START @ Pose2(3 * math.sin(a), 3 - 3 * math.cos(a), a) for a in np.linspace(0, math.pi, n)]
     return Trajectory.from_poses([0.04 * k for k in range(n)], arc)
+
+
+def room(origin: Pose2) -> tuple[OccupancyGrid, WallGrid]:
+    """A room with an L-shaped wall, as a map and as wall cells."""
+    p = np.full((120, 160), 0.1)
+    p[20, 20:140] = 0.9
+    p[20:100, 20] = 0.9
+    return OccupancyGrid.from_probability(p, 0.05, origin), WallGrid(p > 0.5, 0.05, origin)
 
 
 def test_a_shift_and_a_turn_of_the_start_are_measured_at_the_start() -> None:
@@ -143,6 +154,21 @@ def test_a_path_without_a_meter_says_nothing_of_the_start() -> None:
     assert start_alignment(still, still) is None
     late = Trajectory(path().stamps + 99.0, path().positions, path().quaternions)
     assert start_alignment(path(), late) is None
+
+
+def test_a_map_that_is_right_but_for_its_start_is_right_after_the_alignment() -> None:
+    reference, walls = room(Pose2(18.0, -9.0, 0.2))
+    error = Pose2(0.3, 0.1, 0.04)
+    alignment = start_alignment(path(), path().moved(error))
+    scores = map_scores(reference.moved(error), reference, surface=FLAT, walls=walls, alignment=alignment)
+    assert scores.f1 < 0.6
+    assert scores.f1_aligned == pytest.approx(1.0)
+    assert scores.false_occupied > 0.4
+    assert scores.false_occupied_aligned == 0.0
+    assert scores.start_turn == pytest.approx(0.04)
+    T_back = error.inverse()
+    assert scores.start_shift == pytest.approx((T_back @ START).distance(START))
+    assert map_scores(reference, reference, surface=FLAT, walls=walls).f1_aligned is None
 
 
 @pytest.mark.parametrize(("meters", "some"), [(0.999, False), (1.001, True)])

@@ -302,6 +302,15 @@ def test_against_the_equations(seed: int) -> None:
         assert ours[row, col] == pytest.approx(twin(x, y, row, col), abs=1e-9)
 
 
+def test_against_scikit_image() -> None:
+    metrics = pytest.importorskip("skimage.metrics")
+    x, y = pictures(5, (120, 90))
+    _, theirs = metrics.structural_similarity(
+        x, y, gaussian_weights=True, sigma=SIGMA, use_sample_covariance=False, data_range=1.0, full=True
+    )
+    assert np.allclose(similarity(x, y), theirs, atol=1e-9)
+
+
 def picture_map(p: np.ndarray, origin: Pose2 | None = None) -> OccupancyGrid:
     return OccupancyGrid.from_probability(p, 0.05, origin)
 

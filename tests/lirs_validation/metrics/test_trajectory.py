@@ -12,6 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from lirs_validation.logs.read_log import read_constraints
 from lirs_validation.metrics.mapped_log import (
+    Accuracy,
+    ConstraintErrors,
+    ReferenceErrors,
     RelativePoseConstraint,
     constraint_errors,
     poses_at,
@@ -39,6 +42,15 @@ def circle(n: int = 200, radius: float = 3.0, rate: float = 25.0) -> Trajectory:
     angles = np.linspace(0, 1.5 * math.pi, n)
     path = [Pose2(radius * math.cos(a), radius * math.sin(a), a + math.pi / 2) for a in angles.tolist()]
     return Trajectory.from_poses((np.arange(n) / rate).tolist(), path)
+
+
+@given(poses)
+def test_a_moved_copy_has_no_aligned_error(T: Pose2) -> None:
+    truth = circle()
+    errors = trajectory_errors(truth, truth.moved(T))
+    assert errors.ate_rmse < 1e-9
+    assert errors.yaw_rmse < 1e-6
+    assert errors.rpe_metre.translation_rmse < 1e-9
 
 
 @given(poses, poses)
@@ -89,6 +101,17 @@ def jittered(t: Trajectory, rng: np.random.Generator, meters: float = 0.05) -> T
     return Trajectory(t.stamps, t.positions + noise, turned.as_quat(scalar_first=True))
 
 
+@given(SEEDS)
+def test_no_small_motion_from_the_alignment_lowers_the_error(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(0, 3, (15, 3)), rng.normal(0, 3, (15, 3))
+    T = spatial_alignment(a, b)
+    least = np.square(T.apply(a) - b).sum()
+    for _ in range(10):
+        nudge = Pose3.from_rpy(*rng.normal(0, 1e-3, 6).tolist())
+        assert np.square((nudge @ T).apply(a) - b).sum() >= least - 1e-9
+
+
 def test_mirrored_points_are_not_mirrored_back() -> None:
     points = np.random.default_rng(2).normal(0, 1, (30, 3))
     found = spatial_alignment(points, points * (1, 1, -1))
@@ -111,6 +134,17 @@ def test_the_same_path_has_no_error_and_a_moved_one_only_unaligned() -> None:
     assert errors.rotation_rmse_3d == pytest.approx(0.1, abs=1e-6)
     lifted = Trajectory(truth.stamps, truth.positions + np.array((0, 0, 0.7)), truth.quaternions)
     assert spatial_errors(truth, lifted).ate_rmse_3d_unaligned == pytest.approx(0.7)
+
+
+def test_height_counts_in_space_and_not_in_the_plane() -> None:
+    truth = wander(np.random.default_rng(7))
+    bumpy = Trajectory(
+        truth.stamps,
+        truth.positions + np.column_stack((np.zeros((len(truth), 2)), 0.1 * (-1.0) ** np.arange(len(truth)))),
+        truth.quaternions,
+    )
+    assert trajectory_errors(truth, bumpy).ate_rmse == pytest.approx(0, abs=1e-9)
+    assert spatial_errors(truth, bumpy).ate_rmse_3d == pytest.approx(0.1, rel=0.02)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -332,3 +366,24 @@ def test_a_scan_half_a_second_away_is_compared(late: float, used: int) -> None:
     # A single pose cannot be aligned: nothing is said of it.
     assert len(errors.position) == len(errors.yaw) == len(errors.stamps) == (2 if used == 2 else 0)
     assert errors.T_map_reference == Pose2() or used == 2
+
+
+def test_metrics_of_the_record_by_hand() -> None:
+    constraints = ConstraintErrors(np.array([0.1, 0.3]), np.radians([1.0, 4.0]), 5, np.array([0.0, 1.0]))
+    reference = ReferenceErrors(
+        np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.radians([6.0, 8.0]), 7, Pose2()
+    )
+    found = Accuracy(constraints, reference).metrics()
+    assert found["relations"] == pytest.approx(
+        {
+            "translation_mean": 0.2,
+            "translation_std": 0.1,
+            "rotation_mean_deg": 2.5,
+            "rotation_std_deg": 1.5,
+            "used": 2,
+            "outside": 5,
+        }
+    )
+    assert found["reference"] == pytest.approx(
+        {"ate_rmse": math.sqrt(12.5), "ate_max": 4.0, "yaw_rmse_deg": math.sqrt(50), "used": 2, "outside": 7}
+    )

@@ -157,6 +157,19 @@ def test_the_overview_shows_all_and_the_near_plane_is_centimeters(
         assert border.all()
 
 
+@pytest.mark.parametrize(
+    "size", [3.0, *(pytest.param(size, marks=pytest.mark.slow) for size in (50.0, 2_000.0)), 100_000.0]
+)
+def test_the_far_plane_leaves_the_sky(size: float, peak: Path, tmp_path: Path) -> None:
+    """A sky at 4e6 times the near plane is clipped: black, and so are the ground's far ends."""
+    world = build_world(peak, BuildOptions(size=size, height=size / 8))
+    model = written(world, tmp_path / "out")
+    assert model.vis.map.zfar / model.vis.map.znear <= 4.001e5
+    # From the overview all of the world is nearer than the far plane.
+    position, middle = model.cam("overview").pos, model.stat.center
+    assert np.linalg.norm(position - middle) + model.stat.extent < model.vis.map.zfar * model.stat.extent
+
+
 @pytest.mark.render
 @pytest.mark.parametrize("size", [pytest.param(5_000.0, marks=pytest.mark.slow), 100_000.0])
 def test_the_sky_over_kilometers_is_not_black(size: float, peak: Path, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen_log import messages_of, read_carmen
 from lirs_wct.formats.drive_files import write_scans
 from lirs_wct.formats.laser_log import LaserConfig, LaserLog, Message
+from lirs_wct.formats.range_codes import no_return
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 from tests.kit import refused
@@ -130,12 +131,16 @@ def test_every_message_token_by_token(tail: str) -> None:
     [
         f"ODOM {BASE} 7 8 9",
         f"ODOM {BASE} 7 8 9 12.5 host 0.5 more",
+        f"FLASER 3 1 2 4.5 {LASER} {BASE}",
         f"FLASER 3 1 2 4.5 {LASER} {BASE} 12.5 host 0.5 more",
         f"FLASER 0 {LASER} {BASE} 12.5 host 0.5",
+        "FLASER 0",
         f"FLASER 3 1 2 1.2.3 {LASER} {BASE} 12.5",
         *(f"FLASER {n} 1 2 4.5 {LASER} {BASE} 12.5" for n in ("many", "-3", "999999999999")),
+        f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4",
         f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 3 70 80 90",
         f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 0 12.5 host 0.5 more",
+        f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 -1 12.5 host 0.5",
         f"ROBOTLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 3 70 80 90 {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1",
         f"ROBOTLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 0 {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1 12.5 host 0.5 more",
     ],
@@ -198,6 +203,33 @@ def robotlaser(
 
 def at(k: int) -> Pose2:
     return Pose2(0.5 * k, 0.0, 0.1 * k)
+
+
+def test_several_codes_are_all_found() -> None:
+    rng = np.random.default_rng(3)
+    ranges = rng.uniform(0.5, 7.0, (50, 181)).astype(np.float32)
+    codes = rng.random(ranges.shape)
+    ranges[codes > 0.9] = 8.19
+    ranges[codes > 0.97] = 8.18
+    assert no_return(ranges) == pytest.approx(8.175)
+
+
+# ---- codes, mounts and limits by hand
+
+
+def ranges(scans: int, beams: int, most: float = 7.0) -> np.ndarray:
+    return np.random.default_rng(9).uniform(0.5, most, (scans, beams)).astype(np.float32)
+
+
+def test_readings_that_are_none_are_no_code() -> None:
+    r = ranges(50, 100)
+    for value in (0.0, 0.019, 50.0, 81.83, math.inf, math.nan, -5.0):
+        codes = r.copy()
+        codes[:, ::3] = value
+        assert no_return(codes) == 50.0
+    codes[:, ::3] = 49.99
+    assert no_return(codes) == pytest.approx(49.985)
+    assert no_return(np.zeros((3, 4), np.float32)) == 50.0
 
 
 @pytest.mark.parametrize(
@@ -284,6 +316,21 @@ def test_the_mount_is_where_the_laser_follows_the_base(tmp_path: Path, mount: Po
     assert math.remainder(found.yaw - expected.yaw, math.tau) == pytest.approx(0.0, abs=5e-6)
 
 
+@pytest.mark.parametrize(("spread", "steady"), [(0.045, True), (0.055, False)])
+def test_a_mount_that_differs_by_five_centimeters_is_none(
+    tmp_path: Path, spread: float, steady: bool
+) -> None:
+    """Half of the poses differ from the median one, to either side."""
+    lines = []
+    for k in range(15):
+        mount = Pose2(0.4 + (0.0, spread, -spread, spread, -spread)[k % 5], -0.3, 0.7)
+        lines.append(robotlaser(1.0 + k, base=at(k), laser=at(k) @ mount))
+    log = read_carmen(write_log(tmp_path / "x.clf", lines))
+    mounted = log.scans[0].T_base_laser
+    assert (mounted.x, mounted.y) == (pytest.approx((0.4, -0.3), abs=1e-5) if steady else (0.0, 0.0))
+    assert list(log.repaired.values()) == ([] if steady else [15])
+
+
 @pytest.mark.parametrize(
     ("name", "parameter", "x", "yaw"),
     [
@@ -363,11 +410,17 @@ PNG = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + bytes(range(256))
 ZIPPED = gzip.compress("\n".join(LINES).encode())
 NO_LOG = {
     "empty": (b"", "no usable laser scan"),
+    "empty gzip": (gzip.compress(b""), "no usable laser scan"),
     "comments": (b"# nothing\n\n", "no usable laser scan"),
+    "parameters": (b"PARAM a b\n", "no usable laser scan"),
     "a picture": (PNG, "not a text file, a CARMEN log is one"),
+    "a zipped picture": (gzip.compress(PNG), "not a text file, a CARMEN log is one"),
     "UTF-16": ("FLASER 1 2".encode("utf-16"), "not a text file, a CARMEN log is one"),
     "bytes": (bytes(k * 37 % 251 + 1 for k in range(5000)), "no usable laser scan"),
+    "a letter": (b"Dear Sir,\nplease find enclosed\n", "no usable laser scan"),
     "cut gzip": (ZIPPED[: len(ZIPPED) // 2], "the gzip stream is damaged or cut off"),
+    "gzip head": (ZIPPED[:7], "the gzip stream is damaged or cut off"),
+    "wrong gzip": (ZIPPED[:60] + b"?" * 60 + ZIPPED[120:], "the gzip stream is damaged or cut off"),
     "wrong checksum": (ZIPPED[:-6] + b"??" + ZIPPED[-4:], "the gzip stream is damaged or cut off"),
 }
 
@@ -380,6 +433,15 @@ def test_what_is_no_log_says_so_in_one_line(tmp_path: Path, case: str) -> None:
     with refused(f"{path}: ", expected) as told:
         read_carmen(path)
     assert len(str(told.value)) < len(str(path)) + 400
+
+
+@pytest.mark.shared
+def test_no_file_that_is_no_log_is_taken_for_one(shared_data: Path) -> None:
+    files = [p for kind in ("broken", "textures") for p in sorted((shared_data / kind).iterdir())]
+    assert len(files) > 20
+    for path in files:
+        with refused(f"{path}: "):
+            read_carmen(path)
 
 
 MOUNT = Pose3.from_rpy(0.22, -0.05, 0.4, 0.0, 0.0, 0.3)

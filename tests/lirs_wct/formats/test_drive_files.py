@@ -86,19 +86,27 @@ def test_every_number_of_a_pose_has_its_place(tmp_path: Path) -> None:
         ("imu.csv.gz", gzip.compress(b"stamp\n1\n"), r"line 1: the header .* got \['stamp'\]"),
         ("imu.csv.gz", f"{HEADER}\n1,2,3\n".encode(), "line 2: 9 finite numbers are needed, got '1,2,3'"),
         ("imu.csv.gz", f"{HEADER}\n1,2,3,4,5,6,7,8,inf\n".encode(), "line 2: 9 finite numbers"),
+        ("imu.csv.gz", f"{HEADER}\n1,2,3,4,5,6,7,8,x\n".encode(), "line 2: 9 finite numbers"),
         ("imu.csv.gz", gzip.compress(HEADER.encode() * 50)[:60], "the gzip stream is damaged or cut off"),
         ("commands.csv", b"", "line 1: commands begin with '# start X Y YAW', got ''"),
         ("commands.csv", b"\xff\xfe", "no text"),
+        ("commands.csv", b"time,v,omega\n0,0,0\n", "line 1: commands begin"),
         ("commands.csv", b"# start 0 0\ntime,v,omega\n0,0,0\n", "line 1: commands begin"),
         ("commands.csv", b"# start 0 0 0\nv,omega\n0,0\n", "line 2: the header time,v,omega is needed"),
+        ("commands.csv", b"# start 0 0 0\ntime,v,omega\n0,nan,0\n", "line 3: 3 finite numbers"),
         ("commands.csv", b"# start 0 0 0\ntime,v,omega\n0,0,0\n0.04,1\n", "line 4: 3 finite numbers"),
+        ("bad.tum", b"", "a trajectory has 8 numbers a line"),
+        ("bad.tum", b"# stamp x y z\n  \n", "a trajectory has 8 numbers a line"),
         ("bad.tum", b"1 2 3\n", "a trajectory has 8 numbers a line"),
         ("bad.tum", POSE + b"2 0 0 0\n", "not a trajectory"),
+        ("bad.tum", b"a b c d e f g h\n", "not a trajectory"),
         ("bad.tum", bytes(range(128, 256)), "not a trajectory"),
         ("bad.tum", b"1 1e300 0 0 0 0 0 1\n", r"a position must be within 1e\+09 m"),
         ("bad.tum", b"1 0 nan 0 0 0 0 1\n", "must be finite"),
         ("bad.tum", b"1 0 0 0 0 0 0 0\n", "no quaternion zero"),
+        ("bad.tum", POSE + b"2 0 0 0 0 0 0 0\n", "no quaternion zero"),
         ("bad.tum", gzip.compress(POSE * 99)[:-12], "the gzip stream is damaged or cut off"),
+        ("bad.tum", gzip.compress(POSE * 99)[:12] + b"????", "the gzip stream is damaged or cut off"),
     ],
 )
 def test_a_damaged_file_is_refused_in_one_line(name: str, data: bytes, reason: str, tmp_path: Path) -> None:
@@ -108,3 +116,8 @@ def test_a_damaged_file_is_refused_in_one_line(name: str, data: bytes, reason: s
     path.write_bytes(data)
     with refused(f"{path}: ", reason):
         READERS[name](path)
+
+
+def test_one_pose_is_a_trajectory(tmp_path: Path) -> None:
+    (tmp_path / "t.tum").write_bytes(POSE)
+    assert len(read_tum(tmp_path / "t.tum")) == 1

@@ -30,6 +30,17 @@ def test_model_is_seen_and_felt_as_the_same_mesh() -> None:
     assert model.findtext("model/static") == "true"
 
 
+def test_world_includes_model_light_physics_and_gravity_but_no_plane() -> None:
+    text = world_sdf("dune")
+    world = ET.fromstring(text)
+    assert world.findtext("world/include/uri") == "model://dune"
+    assert world.findtext("world/gravity") == "0 0 -9.80665"
+    assert world.findtext("world/physics/max_step_size") == "0.001"
+    assert world.findtext("world/physics/real_time_update_rate") == "1000"
+    assert world.find("world/light") is not None
+    assert "plane" not in text
+
+
 def test_the_window_opens_on_a_view_of_the_world() -> None:
     view = overview((-25, -20, 0), (25, 20, 6), 0.8)
     pose = ET.fromstring(world_sdf("dune", view=view)).findtext("world/gui/camera/pose")

@@ -95,6 +95,11 @@ def test_bursts_and_delays(seed: int, n: int) -> None:
     np.testing.assert_allclose(found, twin(logged.tolist(), poses), atol=2e-6, rtol=0)
 
 
+def test_stamps_that_rise_stay_to_the_bit() -> None:
+    logged = START + np.cumsum(np.random.default_rng(2).exponential(PERIOD, 200) + 1e-6)
+    assert repaired(lines(logged.tolist(), list(east(200)), [True, False] * 100)) == logged.tolist()
+
+
 @given(
     st.lists(st.floats(-2.0, 2.0), min_size=2, max_size=60), st.lists(st.booleans(), min_size=60, max_size=60)
 )
@@ -252,6 +257,18 @@ def test_the_lasers_own_poses_come_first_and_the_wheels_fill_the_gaps() -> None:
     assert found(lasers, []) == ([0, 1, 2], [1.0, 2.0, 3.0], [0, 1, 2])
 
 
+@pytest.mark.parametrize(("away", "merged"), [(0.99, True), (1.0, True), (1.01, False), (-1.01, False)])
+def test_wheels_a_meter_away_are_of_another_frame(away: float, merged: bool) -> None:
+    """The median of the distances, in the plane."""
+    stamps = [0.0, 1.0, 2.0, 3.0, 4.0]
+    lasers = messages(stamps, [Pose2(5.0 + k, 3.0) for k in range(5)])
+    beside: list[Pose2 | None] = [Pose2(5.0 + k, 3.0 + away) for k in range(5)]
+    beside[1] = Pose2(6.0, 50.0)
+    odoms = messages([t + 1e-9 for t in stamps], beside)
+    _, track, _ = found(lasers, odoms)
+    assert len(track) == (10 if merged else 5)
+
+
 @pytest.mark.parametrize("own", [[None, None], [Pose2(3.0), Pose2(3.0)], [Pose2(3.0), None]])
 def test_poses_that_never_change_are_none(own: list[Pose2 | None]) -> None:
     lasers = messages([1.0, 2.0], own)
@@ -259,3 +276,8 @@ def test_poses_that_never_change_are_none(own: list[Pose2 | None]) -> None:
     assert found(lasers, messages([0.0, 4.0], at(8, 8))) == ([None, None], [], [])
     assert found(lasers, messages([0.0], at(8))) == ([None, None], [], [])
     assert found(lasers, []) == ([None, None], [], [])
+
+
+def test_a_single_scan_keeps_its_pose() -> None:
+    assert found(messages([1.0], at(4)), []) == ([4], [1], [4])
+    assert found(messages([1.0], [None]), []) == ([None], [], [])

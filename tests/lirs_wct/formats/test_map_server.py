@@ -17,7 +17,7 @@ from PIL import Image
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import MapMetadata, read_map, read_map_picture, read_metadata, write_map
-from lirs_wct.geometry import OccupancyGrid
+from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from tests.kit import refused
 
@@ -65,16 +65,21 @@ def test_a_written_map_reads_back(
         ("image: m.png\n", "resolution, origin"),
         ("image: m.png\nresolution: 0\norigin: [0, 0, 0]\n", "resolution must be a finite number above 0"),
         ("image: m.png\nresolution: 1\norigin: [0, 1e300, 0]\n", "origin must lie within 1e+09 m"),
+        ("image: m.png\nresolution: nan\norigin: [0, 0]\n", "resolution must be a finite number above 0"),
         ("image: m.png\nresolution: 1e300\norigin: [0, 0]\n", "at most 1000 m, got 1e+300"),
         (f"image: m.png\n{KEYS}mode: cubic\n", "trinary, scale, raw"),
         ("image: m.png\nresolution: 1\norigin: [0]\n", "origin must be [x, y, yaw]"),
         ("image: m.png\nresolution: 1\norigin: [0, 0]\noccupied_thresh: 1.01\n", "must be from 0 to 1, got"),
+        ("image: m.png\nresolution: 1\norigin: [0, 0]\nfree_thresh: nan\n", "from 0 to 1, got free"),
         ("image: m.png\nresolution: true\norigin: [0, 0]\n", "resolution must be a number, got 'true'"),
         (f"image: m.png\n{KEYS}mode: {{a: b}}\n", "mode: a map has no use for nested values"),
         (f"image: m.png\n{KEYS}\tmode: raw\n", "line 6: while parsing a block mapping"),
         ("- what\n", "line 1 is not `key: value`"),
         ("image: 'm.png\n", "line 2: while scanning a quoted scalar, found unexpected end of stream"),
+        ("image: a\x01.png\n", "is not YAML: unacceptable character"),
         ("[" * 600, "is not YAML: is nested too deeply"),
+        ("image: m.png\nresolution: [1]\norigin: [0, 0]\n", "resolution must be a number, got ['1']"),
+        ("image: !!python/object/apply:os.system [x]\n", "origin"),
         (f"image: gone.png\n{KEYS}", "gone.png"),
     ],
 )  # fmt: skip
@@ -130,6 +135,28 @@ def test_umlauts_of_windows(tmp_path: Path) -> None:
     for encoding in ("cp1252", "utf-8"):
         (tmp_path / "m.yaml").write_bytes(text.encode(encoding))
         assert read_metadata(tmp_path / "m.yaml").image.name == "Geb\u00e4ude.png"
+
+
+def test_names_that_look_like_other_things_stay_names(tmp_path: Path) -> None:
+    for name in ("2020-01-01", "1.0", "yes", "null", "0x10", "12:30"):
+        read = read_text(f"image: {name}\nresolution: 010\norigin: [1_0, 0, 0]\n", tmp_path)
+        assert (read.image.name, read.resolution, read.origin.x) == (name, 10.0, 10.0)
+
+
+def test_yaml_is_read_as_pyyaml_reads_it(shared_data: Path, tmp_path: Path) -> None:
+    texts = [path.read_text() for path in sorted(shared_data.glob("maps/*/*.yaml"))]
+    texts += [
+        "image: 'a # b.pgm'  # it\nresolution: 1\norigin:\n- 1\n- -2.5\n- 0.3\nnegate: 0\n",
+        '---\nimage: "x y.png"\nresolution: 5.0e-2\norigin: [ -1.5,2 , .5 ]\nmode: scale\n',
+        "image: it's.pgm\nresolution: 1\norigin: [0, 0]\nfree_thresh:   0.196\n\n# end\n",
+    ]
+    assert len(texts) > 12
+    for text in texts:
+        expected, ours = yaml.safe_load(text), read_text(text, tmp_path)
+        assert ours.image == tmp_path / expected["image"]
+        assert ours.origin == Pose2(*expected["origin"])
+        for key in {"resolution", "occupied_thresh", "free_thresh", "negate", "mode"} & set(expected):
+            assert getattr(ours, key) == expected[key], (key, text)
 
 
 # ---- every pixel by the rules of nav2's map_server
@@ -262,6 +289,51 @@ def test_any_white_of_a_tiff(tmp_path: Path, profile: dict[str, Any]) -> None:
             file.write_mask(np.arange(3)[:, None] + np.zeros(4) > 0)
     first = ["?"] * 4 if masked else ["#", "?", "?", "."]
     assert states(read_map_picture(tmp_path / "m.tif", 0.1)) == [first] + [["#", "?", "?", "."]] * 2
+
+
+def a_framed_map(folder: Path, keys: str, outside: tuple[int, int, int, int]) -> OccupancyGrid:
+    pixels = np.full((12, 16, 4), 255, np.uint8)
+    pixels[:4] = outside
+    pixels[5, 2:10] = (0, 0, 0, 255)
+    return a_map(folder, pixels, keys)
+
+
+def test_transparent_is_unknown_and_the_older_rule_is_told(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="in Humble and ROS 1") as caught:
+        grid = a_framed_map(tmp_path, "", (0, 0, 0, 0))
+    assert [len(caught), grid.occupied.sum(), grid.free.sum(), (~grid.known).sum()] == [1, 8, 120, 64]
+    assert str(caught[0].message).startswith(f"{tmp_path / 'm.png'}: 8 occupied and 120 free cells")
+    assert "; 72 and 120 in Humble and ROS 1" in str(caught[0].message)
+
+
+def test_no_word_where_both_rules_agree(tmp_path: Path) -> None:
+    with warnings.catch_warnings(action="error"):
+        assert a_framed_map(tmp_path, "", (255, 255, 255, 0)).occupied.sum() == 8
+        assert a_framed_map(tmp_path, "mode: raw\n", (0, 0, 0, 0)).free.sum() == 72
+        assert a_framed_map(tmp_path, "mode: scale\n", (0, 0, 0, 0)).occupied.sum() == 8
+
+
+def test_free_wins_where_thresholds_cross(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "m.png"), np.array([[0, 10, 100, 255]] * 2, np.uint8))
+    (tmp_path / "m.yaml").write_text(
+        "image: m.png\nresolution: 1\norigin: [0, 0, 0]\noccupied_thresh: 0.1\nfree_thresh: 0.9\n"
+    )
+    with pytest.warns(UserWarning, match=r"m\.yaml: occupied_thresh 0\.1 is below free_thresh 0\.9"):
+        assert states(read_map(tmp_path / "m.yaml")) == [["#", "#", ".", "."]] * 2
+
+
+def test_what_a_yaml_leaves_out(tmp_path: Path) -> None:
+    read = read_text("image: m.pgm\nresolution: 0.5\norigin: [1, 2]\n", tmp_path)
+    assert read == MapMetadata(
+        image=tmp_path / "m.pgm",
+        resolution=0.5,
+        origin=Pose2(1.0, 2.0, 0.0),
+        occupied_thresh=0.65,
+        free_thresh=0.196,
+        negate=False,
+        mode="trinary",
+    )
+    assert read_text("image: m.pgm\nresolution: 0.5\norigin: [1, 2]\nnegate: true\n", tmp_path).negate
 
 
 def test_a_map_is_written_pixel_by_pixel(tmp_path: Path) -> None:

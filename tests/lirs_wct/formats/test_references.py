@@ -18,6 +18,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.export.package import write_package
 from lirs_wct.files import referenced_file
 from lirs_wct.formats.elevation import read_raster
+from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.meshes.reader import read_textured
 from lirs_wct.formats.meshes.writers import MeshPart, write_parts
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -215,6 +216,15 @@ def test_buffers_and_material_files_elsewhere(listener: tuple[str, list[str]], t
         with pytest.raises(SourceError, match=rf"^{glb}: "):
             build_world(glb)
     assert seen == []
+
+
+def test_the_map_of_a_yaml_may_lie_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    Image.fromarray(np.full((4, 4), 254, np.uint8)).save(tmp_path / "a.png")
+    yaml = tmp_path / "maps" / "a.yaml"
+    for name in ("../a.png", str(tmp_path / "a.png")):
+        yaml.write_text(f"image: {name}\nresolution: 0.1\norigin: [0, 0, 0]\n")
+        assert read_map(yaml).shape == (4, 4)
 
 
 def test_a_built_folder_names_its_own_files(tmp_path: Path) -> None:

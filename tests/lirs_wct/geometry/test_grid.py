@@ -155,6 +155,11 @@ def test_coarser_grids_are_blurred_by_half_of_what_they_shrink(width: int, heigh
     np.testing.assert_allclose(resample(z, width, height), expected, atol=1e-5)
 
 
+def test_the_same_grid_stays_to_the_bit() -> None:
+    z = np.random.default_rng(3).normal(size=(5, 4)).astype(np.float32)
+    np.testing.assert_array_equal(resample(z, 4, 5), z)
+
+
 WALLS = np.array([[True, False, False], [False, False, True]])
 HOLES = np.array([[False, True, False], [False, False, False]])
 

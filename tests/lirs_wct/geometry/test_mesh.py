@@ -108,6 +108,19 @@ def test_arrays_of_the_wrong_shape_are_named(field: str, values: np.ndarray) -> 
     TriangleMesh(POINTS, ONE, uv=np.zeros((4, 2)), normals=np.zeros((4, 3)))
 
 
+def test_tiles_are_the_mesh() -> None:
+    mesh = hills()
+    tiles = list(split_tiles(mesh, aim=400))
+    assert len(tiles) > 8
+    together = np.concatenate([t.vertices[t.faces] for t in tiles])
+    order = np.lexsort(together.reshape(-1, 9).T)
+    corners = mesh.vertices[mesh.faces]
+    np.testing.assert_array_equal(together[order], corners[np.lexsort(corners.reshape(-1, 9).T)])
+    joined = trimesh.util.concatenate([trimesh.Trimesh(t.vertices, t.faces) for t in tiles])
+    joined.merge_vertices()
+    assert joined.is_watertight
+
+
 def test_tiles_hold_no_vertex_twice_or_in_vain() -> None:
     for tile in split_tiles(hills(), aim=400):
         assert set(tile.faces.ravel()) == set(range(len(tile.vertices)))

@@ -119,6 +119,16 @@ def test_the_default_budget_holds_between_pixels_of_real_pictures(shared_data: P
     assert error_between(surface, mesh, (0.125, 0.5, 0.875)) <= budget
 
 
+def test_faces_look_up_and_cover_the_rectangle_once() -> None:
+    surface = hills(60, 80)
+    points, faces = triangulate(surface, max_error=0.02 * surface.relief)
+    (a, b, c) = (points[faces[:, k]].astype(float) for k in range(3))
+    # East is +column, north is -row.
+    doubled = (b[:, 1] - a[:, 1]) * (a[:, 0] - c[:, 0]) - (a[:, 0] - b[:, 0]) * (c[:, 1] - a[:, 1])
+    assert (doubled > 0).all()
+    assert doubled.sum() / 2 == 59 * 79
+
+
 def test_triangles_are_delaunay() -> None:
     surface = hills(40, 50)
     points, faces = triangulate(surface, max_error=0.05 * surface.relief)

@@ -29,8 +29,6 @@ def test_unknown_cells_are_floor_wall_or_hole() -> None:
     assert holed.floor.tolist() == [[True, False, False], [False, True, True]]
     with pytest.raises(ConfigError, match="floor, hole, wall"):
         walls_of(grid, 1.0, "sea")  # type: ignore[arg-type]
-    known = OccupancyGrid.from_probability(np.full((2, 3), 0.1), 0.25)
-    assert walls_of(known, 1.0, "hole").hole is None
     nothing = OccupancyGrid.from_probability(np.full((2, 2), np.nan), 0.1)
     with pytest.raises(ConfigError, match="every cell is a hole"):
         walls_of(nothing, 1.0, "hole")
@@ -48,6 +46,19 @@ def test_speckles_are_dropped_by_their_size() -> None:
         assert np.array_equal(cleaned.known, grid.known)
         assert cleaned.free.sum() == 80 - left
     assert without_small_walls(grid, 3).occupied[1, 1]
+
+
+def test_walls_lie_as_their_map_does() -> None:
+    p = np.array([[0.9, 0.1, 0.66], [0.64, 0.1, np.nan]])
+    grid = OccupancyGrid.from_probability(p, 0.25, Pose2(-3.0, 8.0, 0.5))
+    for unknown in ("floor", "wall", "hole"):
+        walls = walls_of(grid, 1.75, unknown)  # type: ignore[arg-type]
+        assert (walls.resolution, walls.origin, walls.height) == (0.25, grid.origin, 1.75)
+        assert walls.solid.tolist() == [[True, False, True], [False, False, unknown == "wall"]]
+    everything = OccupancyGrid.from_probability(np.full((2, 3), 0.1), 0.25)
+    assert walls_of(everything, 1.0, "hole").hole is None
+    with pytest.raises(ConfigError, match="height"):
+        walls_of(grid, 0.0)
 
 
 def test_the_floor_lies_under_the_whole_turned_map() -> None:

@@ -16,6 +16,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.geometry.grid import resample
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import BundledPicture
 from lirs_wct.sources.picture import apply_filters, read_terrain
@@ -380,6 +381,25 @@ def test_smoothing_and_sharpness_pull_against_each_other() -> None:
     assert filtered(rough, smoothing=2.0).std() < rough.std() / 4
     assert filtered(rough, sharpness=1.0).std() > 1.5 * rough.std()
     np.testing.assert_allclose(filtered(SLOPE, sharpness=2.0)[:, 9:-9], SLOPE[:, 9:-9], atol=1e-4)
+
+
+PLANE = SLOPE + np.arange(30, dtype=np.float32)[:, None]
+
+
+@pytest.mark.parametrize("size", [(79, 59), (41, 30), (400, 31)])
+def test_enlarged_keeps_a_plane_to_its_corners(size: tuple[int, int]) -> None:
+    expected = np.linspace(0, 39, size[0]) + np.linspace(0, 29, size[1])[:, None]
+    np.testing.assert_allclose(resample(PLANE, *size), expected, atol=1e-4)
+    np.testing.assert_array_equal(resample(PLANE, 40, 30), PLANE)
+
+
+def test_shrunk_folds_nothing_fine_into_the_coarse() -> None:
+    small = resample(PLANE, 14, 30)
+    # The blur is level beyond the border: a plane bends there and nowhere else.
+    np.testing.assert_allclose(small[5, 2:-2], PLANE[5, ::3][2:-2], atol=1e-2)
+    stripes = np.tile(np.float32([0, 1]), (30, 60))
+    assert np.ptp(resample(stripes, 20, 30)[:, 2:-2]) < 0.2
+    assert resample(PLANE, 2, 2).shape == (2, 2)
 
 
 def test_resize_keeps_the_meters(tmp_path: Path) -> None:

@@ -59,6 +59,14 @@ def test_a_square_of_nodes_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
+    ("x", "y"), [(5.999, -3.0), (44.001, -3.0), (25.0, -12.001), (25.0, 6.001), (6.0, -3.0), (25.0, 6.0)]
+)
+def test_a_square_that_only_touches_lies_outside(x: float, y: float) -> None:
+    with pytest.raises(ConfigError, match="lies outside the terrain"):
+        cut_surface(SURFACE, (x, y, 8.0))
+
+
+@pytest.mark.parametrize(
     ("window", "bounds"),
     [
         ((25.0, -3.0, 7.9), (21.05, -6.95, 28.95, 0.95)),

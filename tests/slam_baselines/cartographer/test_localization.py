@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from lirs_validation import validate
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.map_server import read_map
+from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import LaserScan
+from slam_baselines.cartographer.localization import KnownMap
 from slam_baselines.mapper import Mapper, make_mapper
 from tests.slam_baselines.synthetic import ROOM, loop, room_scan
 
@@ -164,6 +165,14 @@ def start_poses_in(grid: OccupancyGrid) -> list[Pose2]:
     chosen = cells[np.random.default_rng(6).choice(len(cells), 10, replace=False)]
     yaws = np.linspace(-3, 3, 10)
     return [Pose2(x, y, w) for (x, y), w in zip(grid.centers(chosen).tolist(), yaws.tolist(), strict=True)]
+
+
+def test_a_map_written_and_read_is_the_same_place(tmp_path: Path) -> None:
+    grid = room_map()
+    write_map(tmp_path / "room", grid)
+    of_file, of_grid = KnownMap.load(tmp_path / "room.yaml"), KnownMap.load(grid)
+    for a, b in zip(of_file.pyramid.levels.values, of_grid.pyramid.levels.values, strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_what_cannot_be_used_is_named(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 from slam_baselines.dead_reckoning import MotionConfig
-from slam_baselines.gmapping.motion import GYRO, GyroBias, GyroBiasConfig, MotionIncrement
+from slam_baselines.gmapping.motion import GYRO, GyroBias, GyroBiasConfig, MotionIncrement, remove_bias
 
 BIAS = math.radians(0.03)
 
@@ -55,6 +55,14 @@ def test_without_a_gyro_the_odometry_is_believed_as_configured() -> None:
     expected = motion.rotation_per_meter**2 + motion.rotation_per_second**2
     assert step.reckoned.covariance[2, 2] == pytest.approx(expected, rel=1e-6)
     assert step.seconds == 0
+
+
+def test_unbiased_undoes_a_constant_turn() -> None:
+    # A straight meter in 2 s that the bias bends into an arc.
+    bent = Pose2()
+    for _ in range(1000):
+        bent = bent @ Pose2(0.001, 0, 0.05 * 0.002)
+    np.testing.assert_allclose(remove_bias(bent, 0.05, 2.0).as_array(), (1, 0, 0), atol=1e-3)
 
 
 def test_the_distance_from_dead_reckoning_is_in_standard_deviations() -> None:

@@ -1,5 +1,6 @@
 """Parameters of a case, their limits, and the words for a cause."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypothesis import given, settings, strategies as st
 from lirs_envs.generators.arena import SIDE, WALL_HEIGHT, ArenaConfig, arena
 from lirs_extensions.search.falsify.results import sentence
 from lirs_extensions.search.falsify.search import (
+    OF_ARENA,
     PARAMETERS,
     SearchLimits,
     arena_options,
@@ -30,6 +32,12 @@ def test_every_position_is_a_legal_case_within_the_limits(seed: int) -> None:
         assert parameter.low <= value <= parameter.high
         assert not parameter.whole or value == int(value)
     ArenaConfig(**arena_options(case, seed))
+
+
+def test_parameters_of_the_arena_are_its_fields_with_its_defaults() -> None:
+    defaults = {f.name: f.default for f in fields(ArenaConfig)}
+    assert set(OF_ARENA) | {"seed"} == set(defaults)
+    assert all(p.default == defaults[p.name] for p in PARAMETERS if p.name in OF_ARENA)
 
 
 def test_held_parameters_are_not_searched() -> None:

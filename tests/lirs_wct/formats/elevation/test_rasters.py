@@ -94,6 +94,11 @@ def test_pixels_are_in_meters_on_the_ground(name: str, folder: Path) -> None:
     np.testing.assert_allclose(found, record["corners"], rtol=0, atol=5e-9)  # half a millimeter
 
 
+def test_ten_meters_of_web_mercator_at_40_7_north_are_seven_and_a_half(folder: Path) -> None:
+    georeference = read_and_told(folder / "mercator.tif")[0].info.georeference
+    assert georeference.pixel == pytest.approx((10 * math.cos(math.radians(40.71)),) * 2, rel=3e-3)
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [

@@ -127,6 +127,22 @@ def test_an_extension_that_is_not_read(tmp_path: Path, name: str, required: bool
         read_upright(glb.write(tmp_path / "a.glb"))
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "KHR_materials_unlit",
+        "KHR_texture_transform",
+        "KHR_texture_basisu",
+        "KHR_lights_punctual",
+        "EXT_texture_webp",
+    ],
+)
+def test_an_extension_that_changes_no_shape(tmp_path: Path, name: str) -> None:
+    glb = Glb()
+    glb.tree["extensionsRequired"] = [name]
+    assert size(glb.write(tmp_path / "a.glb")) == [2, 1, 3]
+
+
 @pytest.mark.parametrize(("mode", "corners"), [(5, [0, 1, 3, 2]), (6, [0, 1, 2, 3])])
 def test_strips_and_fans(tmp_path: Path, mode: int, corners: list[int]) -> None:
     glb = Glb()

@@ -70,6 +70,11 @@ def test_collada_says_its_axis_and_its_unit(tmp_path: Path, unit: float) -> None
         assert triangles(mesh) == triangles(TriangleMesh(expected * unit, np.array([[0, 1, 2]], np.int32)))
 
 
+def test_collada_without_a_word_has_y_up_in_meters(tmp_path: Path) -> None:
+    expected = TriangleMesh(UP["Y"], np.array([[0, 1, 2]], np.int32))
+    assert triangles(read_upright(dae(tmp_path / "a.dae", ""))) == triangles(expected)
+
+
 @pytest.mark.parametrize(
     ("asset", "told"),
     [
@@ -128,6 +133,12 @@ def test_a_coordinate_that_is_no_place(tmp_path: Path, suffix: str, number: str)
     )
 
 
+def test_a_suffix_that_is_no_mesh(tmp_path: Path) -> None:
+    path = stl(tmp_path / "a.stl", CORNERS[None]).rename(tmp_path / "a.xyz")
+    with pytest.raises(SourceError, match=r"a\.xyz: not a mesh that is read; legal: "):
+        read_upright(path)
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_one_vertex_a_place_and_no_triangle_without_area(
     tmp_path_factory: pytest.TempPathFactory, seed: int
@@ -145,6 +156,27 @@ def test_one_vertex_a_place_and_no_triangle_without_area(
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], np.array(whole))
     assert len(np.unique(mesh.vertices, axis=0)) == len(mesh.vertices)
     assert mesh.faces.dtype == np.int32
+
+
+@pytest.mark.parametrize(
+    ("number", "decimals", "text"),
+    [
+        (0, 0, "0"),
+        (0, 3, "0"),
+        (-0.0001, 3, "0"),
+        (0.5, 3, ".5"),
+        (-0.25, 3, "-.25"),
+        (12.0, 3, "12"),
+        (100, 0, "100"),
+        (1.0004, 3, "1"),
+        (0.0996, 3, ".1"),
+        (0.012, 3, ".012"),
+        (-24.9512, 4, "-24.9512"),
+        (999.9999, 3, "1000"),
+    ],
+)
+def test_numbers(number: float, decimals: int, text: str) -> None:
+    assert fixed_text([[number]], decimals) == f"{text}\n".encode()
 
 
 @given(st.floats(-1e6, 1e6), st.integers(0, 6))

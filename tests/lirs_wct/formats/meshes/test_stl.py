@@ -35,6 +35,13 @@ def test_unusable_meshes_are_refused(tmp_path: Path) -> None:
             read_mesh(tmp_path / name)
 
 
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["mujoco__pyramid.stl", "unitree_mujoco__terrain.STL"])
+def test_real_files(shared_data: Path, name: str) -> None:
+    path = shared_data / "stl" / name
+    assert len(read_mesh(path).faces) == (path.stat().st_size - 84) // 50
+
+
 def cube() -> trimesh.Trimesh:
     return trimesh.creation.box((2, 3, 1))
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import collada
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import cKDTree
 
 from lirs_wct.errors import ConfigError
@@ -41,6 +42,18 @@ def writer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
     if request.param == "brief":
         monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", 0)
     return str(request.param)
+
+
+def test_closed_and_unmoved(tmp_path: Path) -> None:
+    mesh = hills()
+    write_mesh(tmp_path / "a.dae", mesh)
+    again = trimesh.load(tmp_path / "a.dae", force="mesh")
+    assert len(again.faces) == len(mesh.faces)
+    joined = trimesh.Trimesh(again.vertices, again.faces)
+    joined.merge_vertices(merge_tex=True, merge_norm=True)
+    assert joined.is_watertight
+    assert joined.volume == pytest.approx(mesh.volume, rel=1e-5)
+    np.testing.assert_allclose(again.bounds, mesh.bounds, atol=1e-4)
 
 
 def test_axis_unit_material_and_inputs(tmp_path: Path) -> None:
@@ -95,6 +108,23 @@ def check_corners(found: np.ndarray, mesh: TriangleMesh) -> None:
     np.testing.assert_allclose(found, turned[where], atol=CLOSE)
     plain = [0, 1, 2, 6, 7]
     np.testing.assert_allclose(found[:, :, plain], turned[where][:, :, plain], atol=6e-4)
+
+
+def test_bytes_count_in_large_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Indices are most of a file: a grid's cells are quads, and equal normals one."""
+    rows, cols = np.mgrid[:90, :120]
+    smooth = solid_mesh(
+        HeightField.centered((np.sin(rows / 9) + np.cos(cols / 9)).astype(np.float32), (1, 1))
+    )
+    monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", len(smooth.faces))
+    write_mesh(tmp_path / "a.dae", smooth)
+    monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", 0)
+    write_mesh(tmp_path / "b.dae", smooth)
+    (shape,) = collada.Collada(str(tmp_path / "b.dae")).geometries
+    (polygons,) = shape.primitives
+    assert (polygons.vcounts == 4).sum() == 89 * 119
+    assert len(np.unique(polygons.normal, axis=0)) == len(polygons.normal)
+    assert (tmp_path / "b.dae").stat().st_size < 0.75 * (tmp_path / "a.dae").stat().st_size
 
 
 def test_positions_are_exact_as_float32(tmp_path: Path) -> None:

@@ -199,6 +199,23 @@ def test_another_type_harms_no_scan(bag: Path, given: BagDrive, tmp_path: Path, 
     drives.check(read_bag(target, IMU), given)
 
 
+MESSAGES = {
+    "bag_format_v1.bag": r"its format is '#ROSRECORD V1\.2', legal is '#ROSBAG V2\.0'",
+    "constants.bag": r"/constants \(test_roscpp_serialization/msg/Constants\)",
+    "only_services.mcap": r"/add_two_ints/_service_event \(example_interfaces/srv/AddTwoInts_Event\)",
+    "topics_and_services.db3": r"/rosout \(rcl_interfaces/msg/Log\)",
+    "topics_and_services.mcap": r"/rosout \(rcl_interfaces/msg/Log\)",
+    "truncated.bag": "truncated.bag: its end is missing; rosbag reindex truncated.bag makes it readable",
+}
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", MESSAGES)
+def test_real_bags_without_scans_say_what_they_hold(shared_data: Path, name: str) -> None:
+    with refused(shared_data / "bags" / name, MESSAGES[name]):
+        read_bag(shared_data / "bags" / name, Topics())
+
+
 @pytest.mark.shared
 @pytest.mark.parametrize(
     "name", [pytest.param("cartographer_b0_tiny.bag", marks=pytest.mark.slow), "laser_scan_matcher_demo.bag"]

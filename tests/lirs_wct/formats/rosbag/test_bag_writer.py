@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from lirs_wct.formats.rosbag.messages import BagDrive, SensorErrors
+from lirs_wct.formats.rosbag.messages import BagDrive, SensorErrors, body_velocity
 from lirs_wct.formats.rosbag.topics import LATCHED, TOPICS
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.formats.rosbag.writer import write_bag
+from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_wct.formats.rosbag import drives
 
 
@@ -49,6 +50,12 @@ def test_messages_are_encoded_as_the_library_encodes_them(bag: Path) -> None:
             assert bytes(reader.typestore.serialize_cdr(message, connection.msgtype)) == bytes(data)
             found.add(connection.topic)
     assert found == set(TOPICS)
+
+
+def test_every_topic_has_a_message_for_every_scan(read: dict[str, list[Any]], given: BagDrive) -> None:
+    assert {topic: len(found) for topic, found in read.items()} == {
+        topic: 1 if topic in LATCHED else len(given.ticks) for topic in TOPICS
+    } | {"/imu/data_raw": 2 * (len(given.ticks) - 1)}
 
 
 def test_scans_are_those_given(read: dict[str, list[Any]], given: BagDrive) -> None:
@@ -157,6 +164,23 @@ def test_variances_of_odometry_are_those_of_many_straight_drives() -> None:
     assert x == y == pytest.approx(max(pose[0].var(), pose[1].var()), rel=0.35), "a bound of first order"
 
 
+def test_inertial_readings_have_their_own_stamps_and_covariances(
+    read: dict[str, list[Any]], given: BagDrive
+) -> None:
+    readings = [tick.inertial for tick in given.ticks if tick.inertial is not None]
+    stamps = np.concatenate([each.stamps for each in readings])
+    rates = np.concatenate([each.angular_velocity for each in readings])
+    for message, stamp, rate in zip(read["/imu/data_raw"], stamps, rates, strict=True):
+        assert seconds(message.header.stamp) == pytest.approx(stamp, abs=1e-9)
+        assert message.header.frame_id == "base_link"
+        assert message.orientation_covariance[0] == -1
+        omega, force = message.angular_velocity, message.linear_acceleration
+        assert (omega.x, omega.y, omega.z) == tuple(rate)
+        assert (force.x, force.y, force.z) == (1.0, 1.0, 1.0)
+        np.testing.assert_allclose(message.angular_velocity_covariance, np.diag([0.01] * 3).ravel())
+        np.testing.assert_allclose(message.linear_acceleration_covariance, np.diag([0.04] * 3).ravel())
+
+
 def test_a_map_larger_than_a_chunk_is_whole(read: dict[str, list[Any]], given: BagDrive) -> None:
     (message,) = read["/map"]
     cells = np.array(message.data, np.int8).reshape(message.info.height, message.info.width)
@@ -199,3 +223,17 @@ def test_metadata_has_the_quality_of_service(bag: Path, given: BagDrive) -> None
     assert info["relative_file_paths"] == ["run.mcap"]
     assert info["starting_time"]["nanoseconds_since_epoch"] == 1_000_000_000
     assert info["duration"]["nanoseconds"] == 80_000_000
+
+
+def test_a_bag_replaces_an_older_one_and_leaves_nothing_else(given: BagDrive, tmp_path: Path) -> None:
+    for _ in range(2):
+        write_bag(tmp_path / "run", given)
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+    held = sorted(p.name for p in (tmp_path / "run").iterdir())
+    assert held == ["manifest-sha256.txt", "metadata.yaml", "run.mcap"]
+
+
+def test_body_velocity_of_a_circle() -> None:
+    step = Pose2(2 * np.sin(0.05), 2 * (1 - np.cos(0.05)), 0.05)  # 0.05 rad on a circle of 2 m
+    v = body_velocity(Pose2(3, 4, 1.2), Pose2(3, 4, 1.2) @ step, 0.1)
+    np.testing.assert_allclose(v, (1.0, 0.0, 0.5), atol=1e-3)

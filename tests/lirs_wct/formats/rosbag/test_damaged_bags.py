@@ -74,6 +74,14 @@ def write_mcap(
         writer.finish()
 
 
+def test_chunks_of_lz4_are_read(bag: Path, given: BagDrive, tmp_path: Path) -> None:
+    with AnyReader([bag]) as reader:
+        write_mcap(
+            tmp_path / "run.mcap", reader.messages(), ros=2, compression=mcap.writer.CompressionType.LZ4
+        )
+    drives.check(read_bag(tmp_path / "run.mcap", IMU), given)
+
+
 @pytest.fixture(scope="module")
 def ros1(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bag in ROS 1's format."""
@@ -174,6 +182,21 @@ def test_of_a_split_bag_the_other_parts_are_read(
     with pytest.warns(UserWarning, match=rf"damaged \(run_{part}\.mcap{why}\): 200 scans could be read"):
         log = read_bag(split, IMU)
     drives.check(log, BagDrive(ticks=[tick for k, tick in enumerate(given.ticks) if k // 100 != part]))
+
+
+def test_of_a_split_bag_the_last_file_may_be_cut(split: Path, given: BagDrive) -> None:
+    data = (split / "run_2.mcap").read_bytes()
+    (split / "run_2.mcap").write_bytes(data[:60_000])
+    (split / "metadata.yaml").unlink()  # the recorder writes it last
+    with pytest.warns(UserWarning, match=r"damaged \(run_2\.mcap: its end is missing; .*\): 2\d+ scans"):
+        log = read_bag(split, IMU)
+    drives.check(log, given, len(log.scans))
+
+
+def test_a_bag_cut_in_its_first_messages_is_said_to_be_damaged(bag: Path, tmp_path: Path) -> None:
+    (tmp_path / "cut.mcap").write_bytes((bag / "run.mcap").read_bytes()[:900])
+    with pytest.raises(SourceError, match=r"holds no message \(damaged: cut\.mcap: its end is missing; .*\)"):
+        read_bag(tmp_path / "cut.mcap", Topics())
 
 
 def test_a_message_that_cannot_be_decoded_is_left_out_and_counted(

@@ -96,6 +96,13 @@ def test_a_moving_mount_is_that_of_each_scan() -> None:
     assert frames.mounts("base_link", "elsewhere", [0.0]) is None
 
 
+def test_a_transform_that_is_not_finite_is_counted() -> None:
+    frames = tree(("odom", "base_link", ahead))
+    frames.add(99, message("odom", "base_link", Pose3(math.nan), 5.5), static=False)
+    assert frames.skipped == 1
+    assert all(math.isfinite(T.x) for _, _, T in frames.odometry("base_link")[0])
+
+
 def drive(rate: float, scale: float, drift: float, phase: float, noise: float = 0.0) -> list[Step]:
     rng = np.random.default_rng(2)
     stamps = np.arange(0.0, 20.0, 1 / rate) + phase
@@ -136,3 +143,9 @@ def test_two_publishers_of_a_transform(sources: list[list[Step]], count: int) ->
     else:
         assert length(steps) == pytest.approx(length(longest), rel=0.15)
         assert length(in_order(*sources)) > 3 * length(steps)
+
+
+def test_without_transforms_of_the_laser_the_frame_in_odom_is_the_base() -> None:
+    frames = tree(("odom", "base_link", ahead))
+    assert frames.base("laser") == "base_link"
+    assert frames.mounts("base_link", "laser", [0.0]) is None
