@@ -99,6 +99,11 @@ def broken_files(picture: Path, rng: np.random.Generator) -> Iterator[tuple[str,
     yield "log.clf", noise
 
 
+def open_file(page: Any, name: str, content: bytes) -> None:
+    """Open a file as the upload button does."""
+    page.guard(lambda _: page.world.open(name, content))(None)
+
+
 async def until(condition: Any, seconds: float = 200.0) -> None:
     await asyncio.to_thread(wait_for, condition, seconds)
 
@@ -118,7 +123,7 @@ async def a_round(
     await until(lambda: all(page.world.shown is not None for page in pages))
     for kind, files in enumerate(zip(*(broken_files(picture, rng) for _ in clients), strict=True), 1):
         for page, file in zip(pages, files, strict=True):
-            page.world._open(*file)
+            open_file(page, *file)
         await until(lambda so_far=CLIENTS * kind: len(errors) >= so_far)
     for page in pages[:DRIVING]:
         page.drive.start(((-7.0, -13.0), (7.0, -11.0)))
@@ -175,7 +180,7 @@ async def a_healthy_client(server: Any, picture: Path, errors: list[Exception]) 
     await until(lambda: len(server.pages) == 1)
     (page,) = server.pages
     await until(lambda: page.world.shown is not None)
-    page.world._open(picture.name, picture.read_bytes())
+    open_file(page, picture.name, picture.read_bytes())
     await until(lambda: page.world.shown.world.name == "hill")
     assert errors == []
     await client.vanish()
