@@ -20,8 +20,8 @@ from scipy.stats import spearmanr
 from benchmarks.steps import arguments, print_rows
 from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import ScenarioCache
 from lirs_validation.experiment.run import run
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.world_geometry import scan_support
 from lirs_wct.errors import MapperError, WctError
 from lirs_wct.option import read_names, read_numbers

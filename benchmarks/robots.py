@@ -16,7 +16,7 @@ from lirs_envs.robots.robot import ROBOTS, Robot, Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import build_scenario
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import WctError
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World

@@ -21,8 +21,8 @@ from rich.console import Console
 from benchmarks.steps import arguments
 from lirs_validation import RunConfig, RunRecord, validate
 from lirs_validation.cli.progress import run_with_progress
-from lirs_validation.experiment.drive import ScenarioCache
 from lirs_validation.experiment.run import Run
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.run_record import RECORD
 from lirs_validation.sweep.engines import Processes
 from lirs_validation.sweep.sweep import Outcome, Serial, Sweep

@@ -22,8 +22,9 @@ from rich.table import Table
 from benchmarks.steps import arguments
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.lidar.noise import LidarNoise
-from lirs_envs.sensing.motion import ImuConfig, OdometryConfig
+from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.sensors import SensorNoise, write_noise
+from lirs_envs.sensing.wheel_odometry import OdometryConfig
 from lirs_extensions.search.twin.replay import REPLAYED, Replay
 from lirs_extensions.search.twin.twin import run_twin
 from lirs_validation import validate

@@ -35,8 +35,8 @@ from lirs_extensions.decide import forecast
 from lirs_extensions.decide.decide import P0, P1, SequentialTest
 from lirs_extensions.decide.forecast import FEATURES, LogisticModel, SiteFeatures, site_features
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import Scenario, ScenarioCache, build_scenario
 from lirs_validation.experiment.run import run
+from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_wct import MapperError, WctError
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.files import atomic_write, write_json

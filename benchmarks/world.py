@@ -32,7 +32,8 @@ from lirs_wct.errors import WctError
 from lirs_wct.export.package import write_package
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import rasterize_heights
-from lirs_wct.meshing.solid import solid_mesh, triangulate
+from lirs_wct.meshing.simplify import triangulate
+from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.source import BuildOptions, find_source

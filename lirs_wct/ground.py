@@ -163,7 +163,8 @@ class Ground:
 
         Walls and a mesh with overhangs are never simplified.
         """
-        from lirs_wct.meshing.solid import simplified_solid, solid_mesh  # kernels load numba, which is slow
+        from lirs_wct.meshing.simplify import simplified_solid
+        from lirs_wct.meshing.solid import solid_mesh
         from lirs_wct.meshing.walls import wall_mesh
 
         if self.walls is not None:

@@ -38,7 +38,7 @@ from lirs_wct import (
 )
 from lirs_wct.export.appearance import Part, world_parts
 from lirs_wct.geometry.mesh import MUJOCO_FACES, split_tiles
-from lirs_wct.meshing.solid import simplified_solid
+from lirs_wct.meshing.simplify import simplified_solid
 
 MAX_ERROR = 0.02
 """Vertical deviation of the drawn ground from the true one, meters."""

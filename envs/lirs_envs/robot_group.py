@@ -31,9 +31,10 @@ from lirs_envs.robot_model import (
 )
 from lirs_envs.robots.control import BodyState, LateCommands, make_controllers
 from lirs_envs.robots.robot import Robot, Waypoint
-from lirs_envs.sensing.motion import MOTION, ImuSensors, InertialUnit, WheelOdometries
+from lirs_envs.sensing.imu import MOTION, ImuSensors, InertialUnit
 from lirs_envs.sensing.odometry import Odometries
 from lirs_envs.sensing.sensors import IMU_STREAM, INERTIAL_STREAM, ODOMETRY_STREAM, sensor_stream
+from lirs_envs.sensing.wheel_odometry import WheelOdometries
 from lirs_envs.simulation_config import SimulationConfig, check_settled, footprint, standing_pose
 from lirs_envs.walkers import WALKER_STREAM, Walkers
 from lirs_wct import HeightField, ImuReadings, Pose2, Pose3, SimulationError, World

@@ -13,7 +13,7 @@ import numpy as np
 from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
 from lirs_envs.lidar.ray_casting import RAYS, Rays
 from lirs_envs.robots.robot import Robot
-from lirs_envs.sensing.motion import InertialNoise
+from lirs_envs.sensing.imu import InertialNoise
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.walkers import PROP_GROUP, TOUCHABLE
 from lirs_wct import ConfigError, Pose2, Pose3, SimulationError, WallGrid, World

@@ -22,7 +22,7 @@ from lirs_envs.tasks.task import TASKS as ENVIRONMENT_TASKS
 from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.scores import EpisodeLog, episode_metrics
 from lirs_extensions.bench.tasks import BenchTask
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import is_interrupt
 from lirs_validation.record.run_record import plain, versions
 from lirs_validation.sweep.sweep import Outcome, SweepTask, read_status

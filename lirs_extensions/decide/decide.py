@@ -21,7 +21,7 @@ from lirs_validation.analysis.compare import ORIGINAL
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.driving.choice import make_driver
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import VerdictClass, cause_of, extent_sentences
 from lirs_validation.sweep.sweep import Sweep

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from lirs_extensions.decide.decide import Answer, Trial
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.trajectory import associated
 from lirs_validation.record.metric_catalog import NOTHING, Entry
 from lirs_validation.record.run_record import read_record

@@ -20,10 +20,10 @@ from lirs_extensions.live.graph import CYCLONE_LOOPBACK, PUBLISHED, LiveTopic, M
 from lirs_extensions.live.options import LiveOptions
 from lirs_validation.config import CLIENT, FRONTIER, RunConfig, run_name
 from lirs_validation.driving.choice import check_driver, make_driver, start_pose
-from lirs_validation.experiment.drive import Scenario, build_scenario
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, mapper_named, needs_process
 from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude, warm_up
+from lirs_validation.experiment.scenario import Scenario, build_scenario
 from lirs_validation.processes import compile_timer
 from lirs_wct import ConfigError, Pose2, unknown_name
 from lirs_wct.files import check_writable

@@ -21,14 +21,14 @@ from lirs_extensions.search.case_search import (
     SearchParameter,
     SearchSpace,
     TrialArchive,
-    make_proposer,
     shrink,
     trial_key,
 )
 from lirs_extensions.search.options import TuneOptions
+from lirs_extensions.search.proposers import make_proposer
 from lirs_validation.config import MapConfig, RunConfig
-from lirs_validation.experiment.drive import ScenarioCache
 from lirs_validation.experiment.run import run_unwritten
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.logs.map_log import log_mapper, replay
 from lirs_validation.logs.read_log import check_log, inertial_readings, read_log, read_truth, truth_in_time
 from lirs_validation.metrics.mapped_log import scan_consistency, trajectory_accuracy

@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
-from lirs_envs.sensing.motion import STANDARD_GRAVITY, InertialNoise
+from lirs_envs.sensing.imu import STANDARD_GRAVITY, InertialNoise
 from lirs_validation.analysis.results import RunFolder, read_sensors, recorded_config
 from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.record.run_record import maps_clouds

@@ -14,7 +14,7 @@ import scipy
 from scipy.spatial.transform import Rotation, Slerp
 
 from lirs_validation.analysis.results import RunFolder, recorded_truth, recorded_world_config, true_pose_map
-from lirs_validation.experiment.drive import build_scenario
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.logs.read_log import read_trajectory
 from lirs_validation.metrics.map import agreement, as_stored, map_scores, sample_like
 from lirs_validation.metrics.trajectory import (

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from lirs_envs.simulation import Simulation
-from lirs_validation.experiment.drive import DriveLog, Scenario
+from lirs_validation.experiment.drive import DriveLog
 from lirs_validation.experiment.loading import RESOLUTION
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, package_versions
+from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
 from lirs_validation.metrics.map import MapScores, map_scores, observed_support
 from lirs_validation.metrics.trajectory import (

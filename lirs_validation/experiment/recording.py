@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import sensor_noise
+from lirs_validation.experiment.scenario import sensor_noise
 from lirs_validation.record.run_record import BAG
 from lirs_wct import OccupancyGrid, Pose2, Pose3
 from lirs_wct.files import scratch_folder

@@ -16,10 +16,11 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.config import FRONTIER, STAND, RunConfig
 from lirs_validation.driving.choice import COMMANDS, check_driver, make_driver
 from lirs_validation.driving.frontier_route import warm_up_explorer
-from lirs_validation.experiment.drive import DriveLog, Driver, Scenario, ScenarioCache, drive
+from lirs_validation.experiment.drive import DriveLog, Driver, drive
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_drive, evaluate_maps
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_sensors, start_mapper
 from lirs_validation.experiment.recording import Recording, recording
+from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.metrics.elevation import ELEVATION, write_elevation
 from lirs_validation.processes import CostMeter, compile_timer, is_shared, load_average
 from lirs_validation.record.run_record import RunRecord

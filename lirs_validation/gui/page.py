@@ -15,7 +15,7 @@ from typing import Any
 
 import viser
 
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.construction import Facts, Uploads, zip_folder
 from lirs_validation.gui.controls import Control, controls, without_flags
 from lirs_validation.gui.scene import DriveScene, WorldScene

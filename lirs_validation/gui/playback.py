@@ -18,9 +18,10 @@ import numpy as np
 from lirs_envs.robots.robot import Robot, Twist, clip, make_robot
 from lirs_validation.analysis.results import recorded_truth, recorded_world_config
 from lirs_validation.config import MANUAL, RunConfig, run_name
-from lirs_validation.experiment.drive import DriveLog, Driver, ScenarioCache
+from lirs_validation.experiment.drive import DriveLog, Driver
 from lirs_validation.experiment.evaluation import evaluate_drive, evaluate_maps
 from lirs_validation.experiment.run import Run, conclude, prepare
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.construction import Facts, with_own_picture
 from lirs_validation.metrics.trajectory import rigid_alignment, rms
 from lirs_validation.processes import CostMeter

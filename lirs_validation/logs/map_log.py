@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lirs_validation.config import MapConfig, sha256
+from lirs_validation.experiment.lost_rule import LostRule
 from lirs_validation.experiment.mapper_under_test import (
     LocalMapper,
-    LostRule,
     MapperProcess,
     MapperUnderTest,
     SensorReadings,

@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from lirs_validation.analysis.results import RunFolder, recorded_world_config
 from lirs_validation.drawing import error_picture, shown_bounds
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.elevation import ELEVATION, read_elevation
 from lirs_validation.metrics.map import contradicted
 from lirs_validation.record.metric_catalog import Entry, Metric, rtf_counts, value_at

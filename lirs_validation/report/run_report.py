@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from statistics import median
 
 from lirs_validation.analysis.results import ResultFolder, RunFolder
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.metric_catalog import (
     WORSE,
     Entry,

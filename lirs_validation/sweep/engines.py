@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import Scenario, ScenarioCache, build_scenario
+from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_validation.processes import ChildProcess, importable
 from lirs_validation.sweep.sweep import Outcome, ProgressOf, SweepTask, outcome_of
 from lirs_wct.errors import ConfigError

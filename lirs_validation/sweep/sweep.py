@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, get_args
 
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import is_interrupt
 from lirs_validation.record.run_record import (
     SUCCEEDED,

@@ -16,10 +16,10 @@ from lirs_envs.robots.robot import make_robot
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions, write_verdicts
 from lirs_validation.config import FRONTIER, NOISE_FILES, RUN_AXES, TOUR, EngineOptions, RunConfig, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
-from lirs_validation.experiment.drive import ScenarioCache
 from lirs_validation.experiment.loading import own_source_file
 from lirs_validation.experiment.mapper_under_test import check_sensors, package_versions, start_mapper
 from lirs_validation.experiment.run import run
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.run_record import (
     RECORD,
     RunRecord,

@@ -18,7 +18,7 @@ import scipy  # its modules load on first use
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, njit
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.solid import simplified_solid
+from lirs_wct.meshing.simplify import simplified_solid
 from lirs_wct.world import World
 
 MAX_PRISMS = 20_000

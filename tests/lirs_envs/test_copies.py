@@ -10,8 +10,8 @@ import pytest
 
 from lirs_envs.lidar.ray_casting import MeshCaster
 from lirs_envs.robots.robot import Twist, make_robot
-from lirs_envs.sensing.motion import OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
+from lirs_envs.sensing.wheel_odometry import OdometryConfig
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import Prop
 from lirs_wct.geometry.pose import Pose2

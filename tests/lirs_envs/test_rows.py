@@ -11,8 +11,9 @@ import pytest
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.lidar.ray_casting import Rays
 from lirs_envs.robots.robot import Twist, make_robot
-from lirs_envs.sensing.motion import InertialNoise, OdometryConfig
+from lirs_envs.sensing.imu import InertialNoise
 from lirs_envs.sensing.sensors import Observation, SensorFaults, SensorNoise
+from lirs_envs.sensing.wheel_odometry import OdometryConfig
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import Prop, SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError

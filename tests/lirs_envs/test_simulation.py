@@ -8,8 +8,9 @@ import pytest
 
 from lirs_envs.lidar.presets import LIDARS
 from lirs_envs.robots.robot import Robot, Twist, make_robot
-from lirs_envs.sensing.motion import ImuConfig, OdometryConfig
+from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.sensors import Observation, SensorNoise
+from lirs_envs.sensing.wheel_odometry import OdometryConfig
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError

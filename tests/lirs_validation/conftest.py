@@ -9,7 +9,7 @@ import pytest
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import build_scenario
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.geometry import Pose2
 from lirs_wct.sources.source import BuildOptions
 

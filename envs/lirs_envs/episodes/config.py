@@ -9,8 +9,8 @@ from typing import Any
 from lirs_envs.lidar.noise import NoiseLevel
 from lirs_envs.lidar.ray_casting import resolve_rays
 from lirs_envs.robots.robot import make_robot
-from lirs_envs.sensing.motion import Method, OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
+from lirs_envs.sensing.wheel_odometry import Method, OdometryConfig
 from lirs_envs.simulation_config import Prop, SimulationConfig
 from lirs_envs.tasks.task import Rewards
 from lirs_wct import ConfigError, Pose2, World, unknown_name

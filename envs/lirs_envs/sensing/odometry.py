@@ -20,9 +20,9 @@ import numpy as np
 
 from lirs_envs.robots.control import BodyState
 from lirs_envs.robots.robot import Robot
-from lirs_envs.sensing.motion import (
+from lirs_envs.sensing.imu import ImuConfig
+from lirs_envs.sensing.wheel_odometry import (
     DistanceNoises,
-    ImuConfig,
     OdometryConfig,
     integrated_pose,
     measured_distance,

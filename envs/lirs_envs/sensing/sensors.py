@@ -13,7 +13,8 @@ import yaml
 
 from lirs_envs.lidar.noise import LEVELS, LidarNoise, NoiseLevel, lidar_noise
 from lirs_envs.lidar.presets import LidarPreset
-from lirs_envs.sensing.motion import ImuConfig, OdometryConfig
+from lirs_envs.sensing.imu import ImuConfig
+from lirs_envs.sensing.wheel_odometry import OdometryConfig
 from lirs_wct import (
     ConfigError,
     Float32Array,

@@ -250,7 +250,7 @@ def _check_collisions(
     """Yield the verdict on each robot, terrain and seed in each world."""
     from lirs_envs.robots.robot import make_robot
     from lirs_validation.collision.validation import check_collisions
-    from lirs_validation.experiment.drive import build_scenario
+    from lirs_validation.experiment.scenario import build_scenario
 
     robots = [make_robot(name) for name in options.robot]
     checks = list(itertools.product(robots, options.terrain, options.seed))

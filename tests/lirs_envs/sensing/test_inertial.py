@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lirs_envs.robots.robot import Twist, make_robot
-from lirs_envs.sensing.motion import InertialNoise, InertialUnit
+from lirs_envs.sensing.imu import InertialNoise, InertialUnit
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct import Pose3, World

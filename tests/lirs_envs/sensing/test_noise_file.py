@@ -5,10 +5,11 @@ import pytest
 
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.robots.robot import make_robot
-from lirs_envs.sensing.motion import ImuConfig, OdometryConfig
+from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.sensors import SensorNoise, read_noise, resolve_noise, write_noise
+from lirs_envs.sensing.wheel_odometry import OdometryConfig
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import build_scenario
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct import ConfigError, SourceError
 
 OWN = SensorNoise(

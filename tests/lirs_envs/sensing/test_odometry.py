@@ -9,9 +9,10 @@ import pytest
 from scipy import stats
 
 from lirs_envs.robots.robot import Robot, Twist, make_robot
-from lirs_envs.sensing.motion import ImuConfig, ImuSensors, OdometryConfig
+from lirs_envs.sensing.imu import ImuConfig, ImuSensors
 from lirs_envs.sensing.odometry import DistanceNoise, EkfConfig, EkfOdometry, FlowOdometry
 from lirs_envs.sensing.sensors import SensorNoise
+from lirs_envs.sensing.wheel_odometry import OdometryConfig
 from lirs_envs.simulation import ROW
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World

@@ -11,7 +11,7 @@ import pytest
 from lirs_extensions.decide.decide import Answer, Trial, TrialDrive, changes, decide
 from lirs_extensions.decide.page import failure_place, write_decision
 from lirs_validation.config import EngineOptions, RunConfig
-from lirs_validation.experiment.drive import ScenarioCache, build_scenario
+from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
 from lirs_validation.sweep.sweep import Outcome
 from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import ConfigError, WctError

@@ -16,7 +16,7 @@ from lirs_extensions.decide.forecast import (
     scan_information,
 )
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import build_scenario
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct import World
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry import HeightField

@@ -31,7 +31,7 @@ def one_world(monkeypatch):
 
 @functools.cache
 def _scenario():
-    from lirs_validation.experiment.drive import build_scenario
+    from lirs_validation.experiment.scenario import build_scenario
 
     return build_scenario(RunConfig(source="simple", build=SMALL))
 

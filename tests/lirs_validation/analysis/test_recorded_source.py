@@ -12,7 +12,7 @@ from lirs_validation import validate
 from lirs_validation.analysis.results import RunFolder, read_results, read_run, recorded_world_config
 from lirs_validation.analysis.score import score
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.run_record import same_source, source_files
 from lirs_validation.report.pictures import run_figure
 from lirs_validation.sweep.tasks import RunTask

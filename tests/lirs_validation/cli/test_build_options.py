@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from lirs_validation.cli.command import Command, OneSource
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import build_scenario
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.run_tables import command_of
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.option import option, positive

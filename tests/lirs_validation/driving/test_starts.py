@@ -15,8 +15,8 @@ from lirs_envs.simulation_config import standing_pose
 from lirs_validation.collision.drives import places
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import CLEARANCE, check_driver, make_driver, plan_tour
-from lirs_validation.experiment.drive import build_scenario
 from lirs_validation.experiment.run import run
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
 from lirs_wct.geometry import HeightField, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2

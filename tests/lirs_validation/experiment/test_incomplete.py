@@ -11,8 +11,8 @@ import pytest
 
 from lirs_validation import map_log, validate
 from lirs_validation.analysis.results import read_run
-from lirs_validation.experiment.drive import ScenarioCache
 from lirs_validation.experiment.mapper_under_test import LocalMapper
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.run_record import damaged_files
 from lirs_validation.report.pictures import run_figure
 from lirs_wct.geometry import Pose2, Trajectory

@@ -16,8 +16,9 @@ from lirs_envs.robots.robot import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import make_driver
-from lirs_validation.experiment.drive import DriveLog, build_scenario, drive
+from lirs_validation.experiment.drive import DriveLog, drive
 from lirs_validation.experiment.mapper_under_test import LocalMapper
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.processes import CostMeter, compile_timer, is_shared, load_average
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.construction import PREVIEW_NODES, Uploads, build, preview, zip_folder
 from lirs_validation.gui.scene import world_glb
 from lirs_wct import build_world, write_package

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from lirs_validation.config import MANUAL, RunConfig
-from lirs_validation.experiment.drive import ScenarioCache
 from lirs_validation.experiment.run import run
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.construction import zip_folder
 from lirs_validation.gui.controls import to_goal
 from lirs_validation.gui.playback import LiveDrive, ate, read_playback, runs_in, unpacked_run

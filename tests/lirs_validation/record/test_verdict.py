@@ -8,7 +8,7 @@ from typing import Any, get_args
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lirs_validation.experiment.mapper_under_test import LostRule
+from lirs_validation.experiment.lost_rule import LostRule
 from lirs_validation.metrics.mapped_log import inconsistency
 from lirs_validation.record.metric_catalog import is_worse
 from lirs_validation.record.run_record import Status

@@ -12,7 +12,7 @@ import pytest
 
 from lirs_validation.analysis.compare import repeats
 from lirs_validation.analysis.results import RunFolder, read_results
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.metric_catalog import metrics_named
 from lirs_validation.record.run_record import RunGroup, by_group
 from lirs_validation.report import pictures

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.drive import ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.sweep.sweep import Outcome, SweepTask
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress

@@ -15,7 +15,8 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights
 from lirs_wct.ground import ExportOptions, Terrain
-from lirs_wct.meshing.solid import simplified_solid, solid_mesh, triangulate
+from lirs_wct.meshing.simplify import simplified_solid, triangulate
+from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.world import World
 from tests.kit import read_heights
 

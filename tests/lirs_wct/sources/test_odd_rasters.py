@@ -9,7 +9,7 @@ import pytest
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import HeightField
-from lirs_wct.meshing.solid import triangulate
+from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.picture import dequantize, looks_like_map, warn_nodata_border
 from lirs_wct.sources.source import BuildOptions

@@ -4,8 +4,9 @@ from hypothesis import given, strategies as st
 from scipy.stats import kendalltau
 
 from lirs_envs.lidar.noise import LidarNoise
-from lirs_envs.sensing.motion import ImuConfig, OdometryConfig
+from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.sensors import SensorNoise
+from lirs_envs.sensing.wheel_odometry import OdometryConfig
 from lirs_extensions.search.twin.fit import fit_odometry, odometry_deviations
 from lirs_extensions.search.twin.replay import Replay, ReplayedMapper, TwinPath, simulate_odometry
 from lirs_wct.geometry import LaserScan, Pose2, Trajectory

@@ -12,9 +12,9 @@ from click.testing import CliRunner
 from lirs_envs.lidar.noise import LidarNoise, draw_noise, measure
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.robot_model import CONTROL_PERIOD
-from lirs_envs.sensing.motion import OdometryConfig
 from lirs_envs.sensing.odometry import DistanceNoise
 from lirs_envs.sensing.sensors import read_noise
+from lirs_envs.sensing.wheel_odometry import OdometryConfig
 from lirs_extensions.search.twin.fit import Sample, fit_noise, fit_odometry, resolution_of
 from lirs_extensions.search.twin.surface import (
     GATE,
