@@ -26,7 +26,7 @@ def test_a_planted_defect_raises_the_ratio(defect: str, monkeypatch: pytest.Monk
     for name, value in CASES[defect].items():
         case = case.with_value(name, value)
     ratios = {}
-    for mapper in (f"planted_mappers:{defect}", "planted_mappers:Sound"):
+    for mapper in (f"planted_mappers:{defect}", "hector"):
         score = measure(
             FalsifyOptions(mapper=mapper, seconds=SECONDS.get(defect, 30.0)), mapper, case, 1, 0.3
         )
