@@ -41,12 +41,20 @@ def _optional(flag: str) -> dict[str, Any]:
 
 
 def print_rows(rows: Iterable[Mapping[str, Any]], title: str = "", width: int | None = None) -> None:
-    """Print rows as a table with a column for each key of the first."""
+    """Print rows as a table with a column for each key of the first; one row alone as a list."""
     shown = list(rows)
-    columns = list(shown[0]) if shown else []
-    table = Table(*columns, title=title or None)
-    for row in shown:
-        table.add_row(*(cell(row.get(key)) for key in columns))
+    table = Table(title=title or None)
+    if len(shown) == 1:
+        table.add_column("figure")
+        table.add_column("value")
+        for key, value in shown[0].items():
+            table.add_row(key, cell(value))
+    else:
+        columns = list(shown[0]) if shown else []
+        for key in columns:
+            table.add_column(key, overflow="fold")
+        for row in shown:
+            table.add_row(*(cell(row.get(key)) for key in columns))
     Console(width=width).print(table)
 
 
