@@ -58,6 +58,7 @@ class Option:
         rare: whether the command line takes it by `--option NAME=VALUE`.
         panel: heading in the help; None = the command's own.
         metavar: placeholder of the value in the help; empty = that of its type.
+        unit: unit after the number in the text of the default.
         check: check of the value's legality, beside that of its type.
         reader: reader of the value; None = that of its type.
         axis: whether a sweep varies it: the command line then takes a list.
@@ -79,6 +80,7 @@ class Option:
     rare: bool = False
     panel: str | None = None
     metavar: str = ""
+    unit: str = ""
     check: Check | None = None
     reader: Reader | None = None
     axis: bool = False

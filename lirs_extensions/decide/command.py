@@ -39,6 +39,7 @@ class VerdictOptions(Options):
         UNITS["min"] * 10,
         "Wall time after which no drive begins: 90s, 10min, 2h; 0s = forecast alone.",
         metavar="TIME",
+        unit="s",
         reader=read_duration,
     )
     output: Path = option(Path("verdict"), "Folder for page and drives.")

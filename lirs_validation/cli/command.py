@@ -306,7 +306,7 @@ def _row(option: Option) -> Row:
         flags = f"{flags}, -o"
     form = "" if option.positional or option.type is bool else option.form
     usual = "" if option.default in (None, False, (), "", MISSING) else _text(option.default)
-    return flags, form, f"{option.help} [default: {usual}]" if usual else option.help
+    return flags, form, f"{option.help} [default: {usual}{option.unit}]" if usual else option.help
 
 
 def _text(default: Any) -> str:

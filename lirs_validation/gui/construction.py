@@ -100,7 +100,8 @@ class Uploads:
 
     def __init__(self) -> None:
         self._temporary = TemporaryDirectory(prefix="lirs-wct-gui-", ignore_cleanup_errors=True)
-        self.folder = Path(self._temporary.name)
+        self.folder = Path(self._temporary.name) / "map"  # the world of a map.yaml has its folder's name
+        self.folder.mkdir()
 
     def add(self, name: str, content: bytes) -> Path:
         """Keep a file under its name without folders and unsafe characters; another is replaced."""

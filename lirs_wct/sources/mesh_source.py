@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ NODES = 1025
 MIN_SPACING = 0.02
 """Smallest default node spacing, meters; finer detail does not affect a wheel."""
 UNITLESS = (".stl", ".obj", ".ply")
-"""Files that do not state their unit; those of this program name meters in their first bytes."""
+"""Files that do not state their unit; some name it in their first bytes, as those of this program do."""
 OPENING, OPENING_SHARE = 0.3, 0.25
 """Height of an opening that rays and robots pass, meters, or share of the mesh's height if that is less."""
 WALL_NORMAL, WALL_SHARE = 0.1, 0.01
@@ -39,8 +40,12 @@ RELIEF_SHARE = 0.35
 """Share of slopes in the area of a relief with y up."""
 HEAD_BYTES = 80
 """Bytes of a file that may name its unit."""
+UNIT = re.compile(rb"\b(?:(mm|millimet(?:er|re)s?)|met(?:er|re)s?)\b", re.IGNORECASE)
+"""Unit in these bytes; the group holds millimeters."""
 MAX_METERS = 1000.0
 """Longest side from which coordinates without a unit are likely millimeters."""
+MAX_RISE, STEEP_SHARE = 100.0, 0.25
+"""Height (meters, share of the longest side) above which they are, too: robots on wheels climb no tower."""
 
 
 def read_mesh_source(source: Source, options: BuildOptions) -> Reading:
@@ -94,17 +99,19 @@ def read_mesh_source(source: Source, options: BuildOptions) -> Reading:
 def _warn_of_units(path: Path, mesh: TriangleMesh, options: BuildOptions) -> None:
     """Warn of a mesh that seems to be in millimeters, or to have y up."""
     width, depth, height = np.ptp(mesh.bounds, axis=0).tolist()
-    side, unitless = max(width, depth), path.suffix.lower() in UNITLESS
-    is_large = side >= MAX_METERS and (unitless or height > max(MAX_METERS, TALL_SHARE * side))
-    if is_large and not (options.size or options.scale):
-        with path.open("rb") as file:
-            named = b"meters" in file.read(HEAD_BYTES)
-        if not named:
-            warnings.warn(
-                f"{path}: is {_size(*mesh.bounds)} m, as its unit counts as the meter; "
-                "if it is the millimeter, give --scale 0.001",
-                stacklevel=4,
-            )
+    side = max(width, depth)
+    if path.suffix.lower() in UNITLESS:
+        is_large = side >= MAX_METERS or height > max(MAX_RISE, STEEP_SHARE * side)
+    else:
+        is_large = side >= MAX_METERS and height > max(MAX_METERS, TALL_SHARE * side)
+    with path.open("rb") as file:
+        named = UNIT.search(file.read(HEAD_BYTES))
+    if (named[1] if named else is_large) and not (options.size or options.scale):
+        warnings.warn(
+            f"{path}: is {_size(*mesh.bounds)} m, as its unit counts as the meter; "
+            f"{'it names' if named else 'if it is'} the millimeter, give --scale 0.001",
+            stacklevel=4,
+        )
     area, along = mesh.face_areas, np.abs(mesh.face_normals[:, 1])
     sloped = area[(along > SLOPE_COSINE) & (along < LEVEL_COSINE)].sum()
     is_upright = depth < LOW_SHARE * min(width, height) and sloped > RELIEF_SHARE * area.sum()

@@ -107,7 +107,7 @@ def _resize(value: tuple[int, int], _: str) -> None:
 class SourceOptions(Options):
     """Options of any source, of pictures, laser maps, point clouds and meshes."""
 
-    name: str | None = option(None, "Name of the world; default: the file's.")
+    name: str | None = option(None, "Name of the world; default: the file's, of `map.yaml` the folder's.")
     kind: Literal["picture", "map"] | None = option(None, "Read a picture as terrain or as laser map.")
     window: tuple[float, float, float] | None = option(
         None,
@@ -311,6 +311,8 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
         )
         kind, path = SourceKind.MAP, beside
     stem = _strip_compression(path).stem if path.is_file() else path.name
+    if stem.lower() == "map" and path.is_file():  # map savers name all maps so
+        stem = path.parent.resolve().name or stem
     return Source(kind, path, _name(stem, options))
 
 

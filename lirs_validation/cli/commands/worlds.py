@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
+import shutil
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -89,6 +92,7 @@ def build(options: BuildCommand, world_options: BuildOptions) -> None:
             progress=progress,
         )
     _say_what_was_built(world, folder, options.to)
+    _say_how_to_open(folder, options.to)
 
 
 @common("robot", *_SCALE, "output", "scan_topic", "odom_topic", "range_max", "time")
@@ -182,6 +186,22 @@ def _say_what_was_built(world: lirs_wct.World, folder: Path, to: tuple[str, ...]
         )
     if not world.spawn_poses:
         say("start poses: none, no robot on wheels fits")
+
+
+def _say_how_to_open(folder: Path, to: tuple[str, ...]) -> None:
+    """Print the commands that open a built world in Gazebo and MuJoCo, and the files that these load."""
+    from lirs_wct.export.package import loaded_files
+
+    found = shutil.which("python")
+    is_own = found is not None and Path(found).parent == Path(sys.executable).parent
+    viewer = "python" if is_own else sys.executable, "-m", "mujoco.viewer"
+    sdf, mjcf = (folder / f"{folder.name}{suffix}" for suffix in (".sdf", ".xml"))
+    for name, program, model, words in (
+        ("sdf", "Gazebo", sdf, ("gz", "sim", f"{sdf}")),
+        ("mjcf", "MuJoCo", mjcf, (*viewer, f"--mjcf={mjcf}")),
+    ):
+        if name in to:
+            say(f"open in {program}, with {', '.join(loaded_files(model))}:\n    {shlex.join(words)}")
 
 
 def _figures_table(record: MapRecord) -> Table:

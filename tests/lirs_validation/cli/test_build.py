@@ -1,7 +1,11 @@
 """Every option of `build` at the command line does what it says; `info` and `convert`."""
 
 import math
+import re
+import shlex
+import shutil
 from pathlib import Path
+from xml.etree import ElementTree
 
 import cv2
 import mujoco
@@ -154,6 +158,45 @@ def test_a_picture_beside_its_yaml_is_that_laser_map(
     capsys.readouterr()
     assert built("hill.png").kind == "terrain"
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("source", ["hill.png", "room.yaml", "ball.ply"])
+def test_the_last_lines_open_the_world_with_the_files_that_they_list(
+    source: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trimesh.creation.icosphere(1, 3.0).export("ball.ply")
+    wct("build", source, "-o", "my worlds", "--name", "w")
+    gazebo, gz, mujoco_files, viewer = capsys.readouterr().out.splitlines()[-4:]
+    programs = {gz: ("gz", "sim", ""), viewer: (viewer.split()[0], "-m", "mujoco.viewer", "--mjcf=")}
+    assert shutil.which(viewer.split()[0])
+    for line, listed in ((gz, gazebo), (viewer, mujoco_files)):
+        *words, last = shlex.split(line)
+        *expected, before = programs[line]
+        assert words == expected
+        model = Path(last.removeprefix(before))
+        alone = folder / "alone" / model.name
+        for name in (model.name, *re.sub(r"^open in \w+, with (.*):$", r"\1", listed).split(", ")):
+            (alone / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(model.parent / name, alone / name)
+        if model.suffix == ".xml":
+            mujoco.MjModel.from_xml_path(str(alone / model.name))
+            continue
+        mesh = alone / ElementTree.parse(alone / model.name).findtext(".//visual//uri", "")
+        assert trimesh.load_scene(mesh).geometry
+        textures = re.findall(r"<init_from>(\.\./[^<]+)<", mesh.read_text())
+        assert textures
+        assert all((mesh.parent / texture).is_file() for texture in textures)
+
+
+def test_only_what_was_written_is_opened(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for to, programs in (
+        ("stl", []),
+        ("stl,sdf", ["Gazebo"]),
+        ("mjcf", ["MuJoCo"]),
+        ("mjcf,sdf,stl", ["Gazebo", "MuJoCo"]),
+    ):
+        built("hill.png", to=to)
+        assert re.findall(r"^open in (\w+), with", capsys.readouterr().out, re.MULTILINE) == programs
 
 
 BAD = {

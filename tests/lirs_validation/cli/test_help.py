@@ -8,7 +8,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from lirs_validation.cli.command import COMMANDS, MOVED, OLD, PROGRAM, RARE, Command
+from lirs_validation.cli.command import COMMANDS, MOVED, OLD, PROGRAM, RARE, Command, panels
 from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -48,6 +48,22 @@ def test_the_help_shows_at_most_fifteen_options_and_help_all_shows_every_one(nam
     assert set(flags(everything)) == {*own, *more}
     listed = re.findall(r"^│ ([a-z][a-z-]*) ", rare, re.MULTILINE)
     assert listed == [option.replace("_", "-") for option in found.rare]
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_a_default_stands_as_a_user_types_it_and_a_flag_takes_no_value(name: str) -> None:
+    found = command(name)
+    rows = {row[0].split(",")[0]: row for _, panel in panels(found, everything=True) for row in panel}
+    for option in (*found.own.values(), *found.rare.values()):
+        flag = option.form if option.positional else option.flag
+        _, form, text = rows[option.name.replace("_", "-") if option.name in found.rare else flag]
+        if option.type is bool:
+            assert form == ("true|false" if option.name in found.rare else "")
+        usual = re.search(r"\[default: (.*)\]$", text)
+        if usual is not None:
+            assert option.read(usual[1], option.flag) in (option.default, (option.default,))
+    for arguments in ("--help", "--help-all" if found.common else "--help"):
+        assert not re.search(r"default: [(\['\"]|<\w+>|\bbool\b", shown(name, arguments), re.IGNORECASE)
 
 
 def test_a_help_changes_no_later_one() -> None:

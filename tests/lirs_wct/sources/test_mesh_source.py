@@ -265,10 +265,32 @@ def test_millimeters_are_suspected_in_any_file(tmp_path: Path) -> None:
         ("glb", (12_000, 3000, 8000), True),
         ("obj", (12_000, 8000, 30), True),
         ("glb", (90_000, 2500, 80_000), False),
+        ("stl", (600, 400, 250), True),
+        ("stl", (900, 900, 120), False),
+        ("ply", (60, 40, 90), False),
+        ("glb", (600, 400, 250), False),
     ):
         path = tmp_path / f"house.{suffix}"
         trimesh.creation.box(size).export(path)
         assert any("if it is the millimeter" in line for line in built(path)[1]) == told, size
+        assert not any("give --scale" in line for line in built(path, scale=(0.001, 0.001, 0.001))[1])
+
+
+@pytest.mark.parametrize(
+    ("head", "side", "told"),
+    [
+        ("units: millimeters", 8, "it names"),
+        ("UNITS=mm", 8000, "it names"),
+        ("in meters", 8000, ""),
+        ("by program 5", 8000, "if it is"),
+        ("by program 5", 8, ""),
+    ],
+)
+def test_a_unit_in_the_first_line_counts(head: str, side: float, told: str, tmp_path: Path) -> None:
+    box = trimesh.creation.box((side, side, side / 20))
+    (tmp_path / "box.obj").write_text(f"# {head}\n{box.export(file_type='obj')}")
+    lines = [line for line in built(tmp_path / "box.obj")[1] if "--scale 0.001" in line]
+    assert ["; " + told in line for line in lines] == [True] * bool(told)
 
 
 def test_where_there_is_no_ground_nothing_drives(tmp_path: Path) -> None:

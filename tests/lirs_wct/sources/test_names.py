@@ -46,6 +46,29 @@ def test_every_file_of_a_world_of_any_name_and_folder_loads(tmp_path: Path) -> N
     assert build_world(folder).name == "uni_code_q"
 
 
+@pytest.mark.parametrize("file", ["map.yaml", "map.yml", "Map.YAML", "map.pgm", "map.stl", "map.log.gz"])
+def test_a_file_called_map_is_named_after_its_folder(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in ("first floor", "cellar"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / file).write_bytes(b"")
+    monkeypatch.chdir(tmp_path / "cellar")
+    others = {
+        Path(file): "cellar",
+        Path("../first floor", file): "first_floor",
+        tmp_path / "cellar" / file: "cellar",
+    }
+    assert {path: find_source(path, BuildOptions()).name for path in others} == others
+    assert find_source(file, BuildOptions(name="hall")).name == "hall"
+    other = Path(f"roadmap{Path(file).suffix}")
+    other.write_bytes(b"")
+    assert find_source(other, BuildOptions()).name == "roadmap"
+    Path("map").mkdir()
+    Path("map/world.json").write_text("{}")
+    assert find_source("map", BuildOptions()).name == "map"
+
+
 def test_a_similar_bundled_name_is_suggested() -> None:
     with pytest.raises(SourceError, match=r"simpel: no such file .*; did you mean simple\?$"):
         find_source("simpel", BuildOptions())
