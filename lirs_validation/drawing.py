@@ -30,7 +30,6 @@ from lirs_wct.drawing.canvas import (
     GREEN,
     MAP_MARGIN,
     PAGE_DPI,
-    TEXT_SIZE,
     UNKNOWN_SHADE,
     VERMILLION,
     WALL,
@@ -98,14 +97,11 @@ def overview_figure(
     if elevation is not None:
         panels = figure.add_subplot(grid[1, 1]), figure.add_subplot(grid[1, 2])
         _draw_elevation(panels, canvas, world, elevation)
-    for k, name, drawn, f1 in (
-        (1, "Built map", built, "f1"),
-        (2, "Built map, aligned", aligned, "f1_aligned"),
-    ):
+    for k, name, drawn in ((1, "Built map", built), (2, "Built map, aligned", aligned)):
         if drawn is not None:
             axes = figure.add_subplot(grid[1, k])
             title(axes, name)
-            _draw_built_map(axes, canvas, drawn, true_pose, record.map.get(f1))
+            _draw_built_map(axes, canvas, drawn, true_pose)
     return figure
 
 
@@ -150,9 +146,7 @@ def _draw_map_with_paths(
     legend(axes, [*lines, *path_ends(axes, ends)])
 
 
-def _draw_built_map(
-    axes: Axes, canvas: Canvas, built: OccupancyGrid, true_pose: OccupancyGrid, f1: float | None
-) -> None:
+def _draw_built_map(axes: Axes, canvas: Canvas, built: OccupancyGrid, true_pose: OccupancyGrid) -> None:
     """Show a built map; mark walls missing or over 0.10 m off the true-pose map."""
     picture = canvas.grid_picture(built)
     for asked, other, color in ((true_pose, built, BLUE), (built, true_pose, VERMILLION)):
@@ -160,10 +154,6 @@ def _draw_built_map(
         marked = canvas.mark_pixels(wrong, asked)
         picture[scipy.ndimage.binary_dilation(marked)] = to_rgb(color)  # a wall is a pixel wide
     map_axes(axes, canvas, picture)
-    if f1 is not None:
-        box = {"facecolor": "white", "edgecolor": GRAY, "linewidth": 0.6, "boxstyle": "square,pad=0.3"}
-        corner = axes.transAxes
-        axes.text(0.02, 0.03, f"F1 {f1:.3f}", transform=corner, fontsize=TEXT_SIZE, color=BLACK, bbox=box)
     handles = [
         Patch(color="black", label="occupied"),
         Patch(color=VERMILLION, label="> 0.10 m off"),

@@ -23,6 +23,7 @@ from lirs_validation.metrics.trajectory import (
     start_alignment,
     trajectory_errors,
 )
+from lirs_validation.processes import is_shared
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, versions
 from lirs_validation.record.verdict import incompleteness
 from lirs_wct import FloatArray, OccupancyGrid, SimulationError, World
@@ -168,6 +169,7 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation, *, replayed: bool = True
     period, wall_seconds = simulation.period, sum(log.tick_seconds)
     driven, timing = len(log.tick_seconds) * period, simulation.timing
     series = 1.0 / per_second(log.tick_seconds, period)
+    alone = not (log.concurrent or is_shared(log.load))
     spent = {"physics": timing.physics, "sensors": timing.sensors, "mapper": log.mapper_seconds}
     parts = {name: sum(seconds) / driven for name, seconds in spent.items()}
     return {
@@ -175,7 +177,7 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation, *, replayed: bool = True
         "std": float(np.std(series)),
         "min": float(series.min()),
         "parts": parts | {"rest": wall_seconds / driven - sum(parts.values())},
-        "physics_reference": reference_rtf(simulation) if replayed and not log.concurrent else None,
+        "physics_reference": reference_rtf(simulation) if replayed and alone else None,
         "simulated_seconds": driven,
         "wall_seconds": wall_seconds,
         "timestep": simulation.body.timestep,

@@ -22,7 +22,7 @@ from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.metrics.elevation import ELEVATION, write_elevation
-from lirs_validation.processes import CostMeter, compile_timer, is_shared, load_average
+from lirs_validation.processes import CostMeter, compile_timer, load_average
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.verdict import Verdict
 from lirs_wct import BuildOptions, ConfigError, Pose2, SimulationError, World
@@ -273,7 +273,7 @@ def drive_and_conclude(
                 shown += 1.0
         cost = ready.cost(meter)
         log.load = load_average()
-        log.concurrent = concurrent or is_shared(log.load)
+        log.concurrent = concurrent
         return conclude(ready, log, cost, out, progress, name, recorder, brief=brief)
 
 

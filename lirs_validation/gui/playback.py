@@ -25,6 +25,7 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.construction import Facts, with_own_picture
 from lirs_validation.metrics.trajectory import rigid_alignment, rms
 from lirs_validation.processes import CostMeter
+from lirs_validation.record.metric_catalog import metric_lines
 from lirs_validation.record.run_record import SUCCEEDED, maps_clouds, read_record, succeeded
 from lirs_wct import (
     Float32Array,
@@ -381,12 +382,11 @@ def _with_results(run: Playback, record: dict[str, Any], note: str) -> Playback:
     run.rtf, run.note = list(record["rtf"]["series"]), note
     run.verdict = f"Verdict: {record['verdict']['sentence']}"
     run.status = record["status"] + (f": {record['reason']}" if record["reason"] else "")
-    c, final, f1 = record["config"], record["trajectory"].get("ate_rmse"), record["map"].get("f1")
+    c = record["config"]
     run.results = (
         ("run", f"{record['world']['name']}, {run.robot}, {c['mapper']}, seed {record['seed']}"),
         ("mean RTF", f"{record['rtf']['mean']:.1f}"),
-        ("final ATE", "-" if final is None else f"{final:.3f} m"),
-        ("map F1", "-" if f1 is None else f"{f1:.2f}"),
+        *metric_lines(record, "headline"),
     )
     return run
 

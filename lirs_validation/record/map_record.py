@@ -13,7 +13,7 @@ from typing import Any, Literal
 from lirs_validation.config import MapConfig
 from lirs_validation.record.metric_catalog import WORSE, is_worse
 from lirs_validation.record.run_record import RECORD, machine, plain, versions
-from lirs_validation.record.verdict import Verdict, judge_log
+from lirs_validation.record.verdict import DRIVEN, Verdict, judge_log
 from lirs_wct.files import write_json
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry import OccupancyGrid
@@ -130,7 +130,8 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("status", record.status),
         ("scans", f"{log['scans']}{beams} ({log['laser']})"),
         ("time", f"{log['seconds']:.0f} s"),
-        ("distance by odometry", "no odometry" if driven is None else f"{driven:.0f} m"),
+        ("distance by odometry", "no odometry" if driven is None else DRIVEN.text(driven)),
+        ("length of the path", DRIVEN.text(record.trajectory["length"]) if driven is None else None),
         ("with attitude", f"{log['inertial_readings']} scans{told}" if record.config.imu else None),
         ("map", f"{width:.1f} x {depth:.1f} m, {grid['resolution']:g} m a cell"),
         ("known", f"{grid['known_area']:.0f} m2"),

@@ -26,6 +26,7 @@ on top."""
 ATE, ODOMETRY_ATE = "trajectory.ate_rmse", "trajectory.odometry_ate_rmse"
 ODOMETRY_ATE_3D = "trajectory.odometry_ate_rmse_3d"
 """Places of the mapper's and of the odometry's error in a record."""
+ALL_PLACES: tuple[Selection, ...] = ("picture", "runs", "summary", "compared", "distribution", "headline")
 VISIBLE_ERROR = 0.0005
 """Meters by which an ATE must exceed the odometry's to be visibly worse."""
 WORSE = "worse than its odometry"
@@ -47,11 +48,9 @@ class Metric:
         scale: factor from the record's unit to this one.
         better: direction that is good, if any.
         selections: further tables and pictures that show it.
-        title: name in a run's picture; empty = the same.
         short: heading of a narrow column, with the unit; empty = the same.
         tested: whether comparisons test it; the odometry's error belongs to the drive, not to the mapper.
         baseline: key of the comparison value in the report's distributions, in the same unit of the record.
-        optional: whether the table of runs leaves it out where no run has it.
         detail: whether the report's tables leave it out; comparisons take it by its key.
     """
 
@@ -63,11 +62,9 @@ class Metric:
     scale: float = 1.0
     better: Better = None
     selections: tuple[Selection, ...] = ()
-    title: str = ""
     short: str = ""
     tested: bool = True
     baseline: str = ""
-    optional: bool = False
     detail: bool = False
 
     @property
@@ -93,6 +90,10 @@ class Metric:
             return NOTHING
         return f"{value:.{self.digits}f}" if self.digits is not None else significant(value)
 
+    def text(self, value: float) -> str:
+        """Return a value of a record as sentences show it: with this metric's digits and unit."""
+        return f"{self.formatted(value * self.scale)} {self.unit}".rstrip()
+
 
 METRICS: tuple[Metric, ...] = (
     Metric("rtf.mean", "RTF", "rtf", digits=None, better="more",
@@ -105,27 +106,15 @@ METRICS: tuple[Metric, ...] = (
     Metric("rtf.parts.rest", "rest", "rtf", "ms/s", None, MS, "less"),
     Metric("rtf.physics_reference", "reference physics", "rtf", digits=None, better="more"),
     Metric("rtf.load_average", "system load", "rtf", digits=2, detail=True),
-    Metric("trajectory.length", "driven", "trajectory", "m", 1,
-           selections=("picture", "runs", "summary"), title="distance driven"),
-    Metric(ATE, "ATE", "trajectory", "m", better="less", title="ATE (RMSE, aligned)",
-           selections=("picture", "runs", "summary", "compared", "distribution", "headline"),
-           baseline=ODOMETRY_ATE),
+    Metric("trajectory.length", "driven", "trajectory", "m", 1, selections=("picture", "runs", "summary")),
+    Metric(ATE, "ATE", "trajectory", "m", 3, 1.0, "less", ALL_PLACES, baseline=ODOMETRY_ATE),
     Metric("trajectory.ate_rmse_unaligned", "ATE unaligned", "trajectory", "m", better="less",
-           selections=("picture",), title="ATE (RMSE, unaligned)"),
+           selections=("picture",)),
     Metric(ODOMETRY_ATE, "ATE of odometry", "trajectory", "m", better="less",
-           selections=("picture", "runs", "summary", "compared", "headline"), title="ATE of the odometry",
-           short="odom. ATE [m]", tested=False),
-    Metric("trajectory.ate_rmse_3d", "ATE in space", "trajectory", "m", better="less",
-           title="ATE in space (RMSE, aligned)", short="ATE 3D [m]",
-           selections=("picture", "runs", "summary", "compared", "distribution"), optional=True,
-           baseline=ODOMETRY_ATE_3D),
-    Metric(ODOMETRY_ATE_3D, "ATE in space of odometry", "trajectory", "m", better="less",
-           title="ATE in space of wheels, gyro and gravity", short="odom. ATE 3D [m]",
-           selections=("picture", "runs", "summary"), tested=False, optional=True),
-    Metric("trajectory.ate_rmse_3d_unaligned", "ATE in space, unaligned", "trajectory", "m", better="less",
-           title="... unaligned", selections=("picture",)),
+           selections=("picture", "runs", "summary", "compared", "headline"), short="odom. ATE [m]",
+           tested=False),
     Metric("trajectory.scan_coverage", "scans covered", "trajectory", "%", 1, PERCENT, "more",
-           selections=("picture",), title="scans with a pose"),
+           selections=("picture",)),
     Metric("trajectory.rpe_metre.translation_rmse", "RPE per m", "trajectory", "mm", 1, MM, "less",
            selections=("compared",)),
     Metric("trajectory.rpe_metre.rotation_rmse", "RPE per m", "trajectory", "deg", 3, DEGREES, "less"),
@@ -147,46 +136,38 @@ METRICS: tuple[Metric, ...] = (
     Metric("trajectory.relations.translation_std", "relations, std", "trajectory", "mm", 1, MM, detail=True),
     Metric("trajectory.relations.rotation_std", "relations, std", "trajectory", "deg", 3, DEGREES,
            detail=True),
-    Metric("map.f1", "F1", "map", better="more", title="F1 against the true-pose map",
-           selections=("picture", "runs", "summary", "compared", "distribution", "headline")),
-    Metric("map.f1_aligned", "F1 aligned", "map", better="more", title="... after the ATE's alignment",
-           selections=("picture", "summary", "compared")),
-    Metric("map.start_shift", "start shift", "map", "m", better="less", title="... which moves the start by",
-           selections=("picture",)),
-    Metric("map.start_turn", "start turn", "map", "deg", 2, DEGREES, "less", title="... and turns the map by",
-           selections=("picture",)),
+    Metric("map.f1_aligned", "walls agree", "map", "%", 0, PERCENT, "more", ALL_PLACES),
+    Metric("map.false_occupied_aligned", "walls false", "map", "%", 0, PERCENT, "less", ALL_PLACES),
+    Metric("map.start_shift", "start shift", "map", "m", better="less", selections=("picture",)),
+    Metric("map.start_turn", "start turn", "map", "deg", 2, DEGREES, "less", selections=("picture",)),
+    Metric("map.f1", "F1 unaligned", "map", better="more"),
     Metric("map.precision", "precision", "map", better="more"),
     Metric("map.recall", "recall", "map", better="more"),
-    Metric("map.iou", "IoU", "map", better="more", selections=("picture", "summary", "compared")),
-    Metric("map.ssim", "SSIM", "map", better="more", selections=("compared",)),
-    Metric("map.f1_input", "F1 input map", "map", better="more", selections=("picture", "runs"),
-           title="F1 against the input map", short="F1 input", optional=True),
+    Metric("map.iou", "IoU", "map", better="more"),
+    Metric("map.ssim", "SSIM", "map", better="more"),
+    Metric("map.f1_input", "F1 input map", "map", better="more"),
     Metric("map.precision_input", "precision input map", "map", better="more", detail=True),
     Metric("map.recall_input", "recall input map", "map", better="more", detail=True),
-    Metric("map.false_occupied", "false occupied", "map", better="less", short="false occ.",
-           selections=("picture", "runs", "summary", "compared", "distribution")),
-    Metric("map.false_occupied_aligned", "false occupied, aligned", "map", better="less",
-           short="false occ. aligned", title="... after the alignment",
-           selections=("picture", "summary", "compared")),
-    Metric("map.reference_false_occupied", "false occupied of the true-pose map", "map", better="less",
-           title="... of the true-pose map itself", selections=("picture",)),
+    Metric("map.false_occupied", "false unaligned", "map", better="less"),
+    Metric("map.reference_false_occupied", "false at true poses", "map", better="less"),
     Metric("map.to_reference.mean", "to true, mean", "map", "mm", 1, MM, "less"),
     Metric("map.to_reference.p95", "to true, 95 %", "map", "mm", 1, MM, "less"),
     Metric("map.from_reference.mean", "from true, mean", "map", "mm", 1, MM, "less"),
     Metric("map.from_reference.p95", "from true, 95 %", "map", "mm", 1, MM, "less"),
-    Metric("map.unknown", "unknown", "map", better="less", selections=("picture",),
-           title="unknown of what could be seen"),
-    Metric("map.elevation_rmse", "elevation RMSE", "map", "m", better="less", short="elev. [m]",
-           title="elevation (RMSE)", selections=("picture", "runs", "summary", "compared"), optional=True),
-    Metric("map.elevation_rmse_aligned", "elevation RMSE, aligned", "map", "m", better="less",
-           title="... after the alignment in space", selections=("picture", "compared")),
-    Metric("map.reference_elevation_rmse", "elevation RMSE of the true poses", "map", "m", better="less",
-           title="... of the true poses' map itself", selections=("picture",), tested=False),
-    Metric("map.elevation_seen", "elevation seen", "map", "%", 1, PERCENT, "more", short="elev. seen [%]",
-           title="elevation seen of what could be",
-           selections=("picture", "runs", "summary", "compared"), optional=True),
-    Metric("collisions.max_penetration", "deepest", "contacts", "mm", 2, MM, "less",
-           selections=("picture", "compared"), title="deepest penetration"),
+    Metric("map.unknown", "unknown", "map", better="less", selections=("picture",)),
+    Metric("map.elevation_rmse_aligned", "elevation error", "map", "m", 3, 1.0, "less", ALL_PLACES),
+    Metric("map.elevation_seen", "ground seen", "map", "%", 0, PERCENT, "more", ALL_PLACES),
+    Metric("map.elevation_rmse", "elevation error, unaligned", "map", "m", better="less"),
+    Metric("map.reference_elevation_rmse", "elevation error of the true poses", "map", "m", better="less",
+           tested=False),
+    Metric("trajectory.ate_rmse_3d", "ATE in space", "trajectory", "m", better="less", short="ATE 3D [m]",
+           selections=("picture", "runs", "summary", "compared", "distribution"), baseline=ODOMETRY_ATE_3D),
+    Metric(ODOMETRY_ATE_3D, "ATE in space of odometry", "trajectory", "m", better="less", tested=False,
+           selections=("picture", "runs", "summary"), short="odom. ATE 3D [m]"),
+    Metric("trajectory.ate_rmse_3d_unaligned", "ATE in space, unaligned", "trajectory", "m", better="less",
+           selections=("picture",)),
+    Metric("collisions.max_penetration", "deepest contact", "contacts", "mm", 2, MM, "less",
+           selections=("picture", "compared")),
     Metric("collisions.penetration_p999", "99.9 %", "contacts", "mm", 2, MM, "less"),
     Metric("collisions.body_contacts", "body contacts", "contacts", digits=0, better="less"),
     Metric("collisions.body_contact_seconds", "for", "contacts", "s", 2, better="less"),
@@ -237,8 +218,9 @@ def metrics_in(*sections: Section) -> tuple[Metric, ...]:
 
 
 def metrics_selected(selection: Selection) -> tuple[Metric, ...]:
-    """Return the metrics of a selection."""
-    return tuple(metric for metric in METRICS if selection in metric.selections)
+    """Return the metrics of a selection; the RTF is last, where a narrow screen hides it first."""
+    selected = (metric for metric in METRICS if selection in metric.selections)
+    return tuple(sorted(selected, key=lambda metric: metric.section == "rtf"))
 
 
 def metrics_named(keys: Sequence[str]) -> tuple[Metric, ...]:
@@ -251,27 +233,30 @@ def metrics_named(keys: Sequence[str]) -> tuple[Metric, ...]:
 
 
 def rtf_counts(entry: Entry) -> bool:
-    """Return whether a run's RTF counts.
+    """Return whether a run's RTF counts: it had the processor to itself."""
+    return value_at(entry, "rtf.mean") is not None and not other_load(entry)
 
-    In a run that shared the processor, it depends on the other runs.
-    """
-    return value_at(entry, "rtf.mean") is not None and not value_at(entry, "rtf.concurrent")
+
+def other_load(entry: Entry) -> str:
+    """Return what else used the processor during a run; empty without."""
+    load, cores = value_at(entry, "rtf.load_average"), value_at(entry, "machine.cores")
+    if value_at(entry, "rtf.concurrent"):
+        return "other programs" if load is None else "other runs"
+    return "other programs" if load is not None and cores is not None and load > cores else ""
 
 
 def picture_lines(entry: Entry) -> list[tuple[str, str]]:
-    """Return names and values for a run's picture, verdict and status first.
-
-    Values that do not exist are left out.
-    """
+    """Return names and values for a run's picture, verdict and status first."""
     lines = [("verdict", entry["verdict"]["class"]), ("status", str(entry["status"]))]
-    headed = False
-    for metric in metrics_selected("picture"):
-        value, continues = metric.of(entry), metric.title.startswith("...")
-        headed = headed if continues else value is not None
-        if value is not None:
-            unit = f" {metric.unit}" if metric.unit else ""
-            title = metric.name if continues and not headed else metric.title or metric.name
-            lines.append((title, metric.formatted(value) + unit))
+    return lines + metric_lines(entry, "picture")
+
+
+def metric_lines(entry: Entry, selection: Selection) -> list[tuple[str, str]]:
+    """Return names and values of a selection; those that do not exist are left out."""
+    lines = list[tuple[str, str]]()
+    for metric in metrics_selected(selection):
+        if (value := value_at(entry, metric.key)) is not None:
+            lines.append((metric.name, metric.text(value)))
             if metric.key == ODOMETRY_ATE and worse_than_odometry(entry):
                 lines.append(("", WORSE))
     return lines

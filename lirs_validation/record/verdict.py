@@ -16,7 +16,15 @@ from typing import Any, Literal
 import yaml
 
 from lirs_validation.config import CLIENT, FRONTIER
-from lirs_validation.record.metric_catalog import Entry, is_worse, text_at, value_at
+from lirs_validation.record.metric_catalog import (
+    ATE,
+    ODOMETRY_ATE,
+    Entry,
+    is_worse,
+    metrics_named,
+    text_at,
+    value_at,
+)
 from lirs_wct.errors import ConfigError, reason_of, within
 from slam_baselines.mapper import short_name
 
@@ -39,10 +47,14 @@ LEADS: dict[VerdictClass, str] = {
     "not evaluated": "{who} was not evaluated on {world}",
     "loses its way": "{who} loses its way on {world}",
     "adds nothing": "{who} adds nothing to the odometry on {world}",
-    "path only": "{who} finds its path on {world}, but its map is not usable",
+    "path only": "{who} finds only its path on {world}",
     "works": "{who} works on {world}",
 }
 """Beginning of the sentence by class."""
+DRIVEN, ERROR, ODOMETRY_ERROR = metrics_named(("trajectory.length", ATE, ODOMETRY_ATE))
+AGREE, FALSE = metrics_named(("map.f1_aligned", "map.false_occupied_aligned"))
+ELEVATION, SEEN = metrics_named(("map.elevation_rmse_aligned", "map.elevation_seen"))
+"""Figures that the sentence states."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +67,7 @@ class VerdictLimits:
         over_odometry: meters added to that limit.
         drift: share of the distance above which a method without odometry loses its way.
         gain: factor of the odometry's error above which a method adds nothing.
+        gain_without_map: value of `gain` for a method whose map is not usable.
         small_error: meters below which an error needs no gain over the odometry.
         f1_aligned: smallest F1 of a map after alignment.
         false_occupied: largest excess of false occupied cells over the true-pose map, share.
@@ -67,6 +80,7 @@ class VerdictLimits:
     over_odometry: float = 0.05
     drift: float = 0.02
     gain: float = 0.9
+    gain_without_map: float = 0.75
     small_error: float = 0.05
     f1_aligned: float = 0.8
     false_occupied: float = 0.1
@@ -150,14 +164,14 @@ def classify(
     if error is not None and error > most:
         return "loses its way", (Reason("trajectory error", error, most),)
     reasons = [Reason("occupied cells", 0, 1)] if figures.occupied == 0 else []
+    poor = _poor_map(figures, limits)
     if error is not None and odometry is not None:
         most = max(limits.gain * odometry, limits.small_error)
-        reasons += [Reason("trajectory error", error, most)] if error > most else []
+        most = min(most, limits.gain_without_map * odometry) if poor else most
+        reasons += [Reason("trajectory error", error, most), *poor] if error > most else []
     if reasons:
         return "adds nothing", tuple(reasons)
-    if reasons := _poor_map(figures, limits):
-        return "path only", tuple(reasons)
-    return "works", ()
+    return ("path only", tuple(poor)) if poor else ("works", ())
 
 
 def _poor_map(figures: VerdictFigures, limits: VerdictLimits) -> list[Reason]:
@@ -232,11 +246,11 @@ def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Ver
     lead, cause = LEADS[kind].format(who=who, world=entry["world"]["name"]), cause_of(kind, entry)
     if kind == "not evaluated" and not cause:
         needed = limits.robot_lengths * value_at(entry, "world.robot_length")
-        length = value_at(entry, "trajectory.length")
-        cause = f"it drove {length:.1f} m, at least {needed:.1f} m are needed (--seconds)"
+        length = DRIVEN.text(value_at(entry, DRIVEN.key))
+        cause = f"it drove {length}, at least {DRIVEN.text(needed)} are needed (--seconds)"
     first = f"{lead}: {cause.rstrip('.')}." if cause else f"{lead}."
     unjudged = kind in ("failed", "not evaluated")
-    results = () if unjudged else (_path_sentence(figures), _map_sentence(figures))
+    results = () if unjudged else (_path_sentence(figures), _map_sentence(figures, limits))
     parts = (first, *results, extent_sentences(entry))
     return Verdict(kind, " ".join(part for part in parts if part), reasons)
 
@@ -339,28 +353,35 @@ def _path_sentence(figures: VerdictFigures) -> str:
     """Compare the path with the odometry's."""
     if figures.error is None:
         return ""
-    driven = "" if figures.distance is None else f" after {figures.distance:.0f} m"
-    error = f"Its path error is {figures.error:.3f} m{driven}"
+    driven = "" if figures.distance is None else f" after {DRIVEN.text(figures.distance)}"
+    error = f"Its path error is {ERROR.text(figures.error)}{driven}"
     if figures.odometry_error is None:
         return f"{error}; there is no odometry to compare with."
     worse = "worse than " if is_worse(figures.error, figures.odometry_error) else ""
-    return f"{error}, {worse}the odometry's {figures.odometry_error:.3f} m."
+    return f"{error}, {worse}the odometry's {ODOMETRY_ERROR.text(figures.odometry_error)}."
 
 
-def _map_sentence(figures: VerdictFigures) -> str:
-    """Return the quality of the map, or that it was not evaluated."""
+def _map_sentence(figures: VerdictFigures, limits: VerdictLimits) -> str:
+    """Return the quality of the map, or that it was not evaluated.
+
+    Where the true poses give as many false walls or heights, the scans are at fault.
+    """
     if figures.occupied == 0:
         return "Its map has no occupied cells."
-    if figures.f1_aligned is not None:
-        false, reference = figures.false_occupied, figures.reference_false_occupied
-        ghosts = "" if false is None else f"; {100 * false:.0f} % of its occupied cells are false"
-        own = "" if not ghosts or reference is None else f" ({100 * reference:.0f} % at the true poses)"
-        quality = f"F1 {figures.f1_aligned:.2f}{ghosts}{own}"
-        return f"After alignment, its map agrees with the true one by {quality}."
-    if figures.elevation_rmse is not None:
-        seen = f", {100 * (figures.elevation_seen or 0.0):.0f} % of the visible ground is seen"
-        return f"Its elevation map is {figures.elevation_rmse:.3f} m off{seen}."
-    return "The map was not evaluated."
+    agree, false = figures.f1_aligned, figures.false_occupied
+    off, seen = figures.elevation_rmse, figures.elevation_seen
+    if agree is not None:
+        kind, clauses = "map", [f"{AGREE.text(agree)} of the walls agree"]
+        clauses += [] if false is None else [f"{FALSE.text(false)} are false"]
+    else:
+        kind, clauses = "elevation map", [] if off is None else [f"its error is {ELEVATION.text(off)}"]
+        clauses += [] if seen is None else [f"{SEEN.text(seen)} of the visible ground is seen"]
+    if not clauses:
+        return "The map was not evaluated."
+    exact = (false or 0.0) <= limits.false_occupied and (off or 0.0) <= limits.elevation_rmse
+    quality = "right" if exact else "as good as its scans allow"
+    quality = "not usable" if _poor_map(figures, limits) else quality
+    return f"Its {kind} is {quality}: {', '.join(clauses)}."
 
 
 def extent_sentences(entry: Entry) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ def compare_table(comparison: Comparison, names: tuple[str, str]) -> ReportTable
         rows.append((group.label(shown), *[""] * (len(HEADINGS) - 1)))
         styles.append("italic")
         for d in same_group:
-            text = d.metric.formatted
+            text = (replace(d.metric, digits=1) if d.metric.digits == 0 else d.metric).formatted
             interval = NOTHING if d.low is None else f"{text(d.low)} .. {text(d.high)}"
             p = "<0.001" if d.p_corrected is not None else NOTHING
             p = f"{d.p_corrected:.3f}" if (d.p_corrected or 0) >= 0.001 else p

@@ -43,9 +43,9 @@ TEXTS: dict[Section, str] = {
     "rtf": "Simulated seconds per wall second of the whole loop, without compilation; its parts in wall "
     "milliseconds per simulated second; and the same drive replayed through MuJoCo's step alone.",
     "trajectory": "Errors of the mapper's final trajectory in the plane, against the simulator's truth.",
-    "map": "F1 compares the built map with one built from the same scans at the true poses, both placed by "
-    "the true start pose, and once more after the alignment of the ATE. False occupied compares both maps "
-    "with the world's geometry, because F1 does not show errors that both maps share.",
+    "map": "Walls agree: F1 of the built map against one of the same scans at the true poses. Walls false: "
+    "share of its occupied cells that are no wall of the world. Both after the alignment of the ATE; for the "
+    "other figures, the true start pose places the map.",
     "contacts": "Contacts of the robot while mapping, and their penetration.",
     "cost": "Processor time of the drive, peak memory of the process, compilation before the clock starts, "
     "and the mapper's time per scan.",

@@ -28,6 +28,7 @@ from lirs_validation.record.metric_catalog import (
     metrics_in,
     metrics_named,
     metrics_selected,
+    other_load,
     rtf_counts,
     text_at,
     value_at,
@@ -151,7 +152,7 @@ def group_table(
         good = [run for run in runs if succeeded(run)]
         counted = (f"{len(good)} of {len(runs)}",) if count else ()
         rows.append((*group_texts(group, fields), *counted, *(over_runs(metric, good) for metric in kept)))
-    caption = _caption(kept, entries)
+    caption = _caption(metrics, entries)
     if any(isinstance(cell, MetricSpread) and cell.partial for row in rows for cell in row):
         caption += " (n of N): n of the N runs have this value."
     return ReportTable(key, title, caption, headings, tuple(rows), len(fields) + count)
@@ -186,9 +187,9 @@ def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
 
 def _without_rtf(entries: Sequence[Entry]) -> list[str]:
     """Return one sentence on runs whose RTF is not shown, if any."""
-    beside = sum(value_at(e, "rtf.mean") is not None and not rtf_counts(e) for e in entries)
-    runs, have = ("run", "has") if beside == 1 else ("runs", "have")
-    return [f"{beside} concurrent {runs} {have} no RTF here."] if beside else []
+    loads = [load for e in entries if value_at(e, "rtf.mean") is not None and (load := other_load(e))]
+    of = f" of {len(loads)} run{'s' if len(loads) > 1 else ''}" if len(loads) < len(entries) else ""
+    return [f"RTF{of} not given: {' and '.join(sorted(set(loads)))} used the processor."] if loads else []
 
 
 def _worse_than_odometry(entries: Sequence[Entry]) -> list[str]:
@@ -223,7 +224,7 @@ def run_texts(entry: Entry, fields: Sequence[str]) -> tuple[Content, ...]:
 
 def _existing(metrics: Sequence[Metric], entries: Sequence[Entry]) -> tuple[Metric, ...]:
     """Return the metrics that at least one record has."""
-    return tuple(m for m in metrics if any(m.of(e) is not None for e in entries))
+    return tuple(m for m in metrics if any(m.comparable(e) is not None for e in entries))
 
 
 def method_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
@@ -268,7 +269,7 @@ def results_table(entries: Sequence[Entry]) -> ReportTable:
     entries = sorted(entries, key=succeeded)
     shown = {*FIXED_COLUMNS, *unusual_fields(map(RunGroup.of, entries))}
     facts = [name for name in FACTS if name in shown]
-    metrics = [m for m in metrics_selected("runs") if not m.optional or _existing([m], entries)]
+    metrics = _existing(metrics_selected("runs"), entries)
     rows = [
         (
             *(text_at(e, FACTS[name]) for name in facts),
@@ -288,7 +289,7 @@ def results_table(entries: Sequence[Entry]) -> ReportTable:
             "bold red" if not succeeded(e) else "yellow" if worse_than_odometry(e) else "" for e in entries
         ),
     )
-    return table.with_common_in_title(RUN_AXES, unnamed=("robot", "mapper"))
+    return table.with_common_in_title(("world", *RUN_AXES), unnamed=("world", "robot", "mapper"))
 
 
 def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> list[str]:

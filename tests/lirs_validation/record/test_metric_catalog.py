@@ -112,16 +112,3 @@ def test_a_metric_is_added_in_one_place(tmp_path: Path, monkeypatch: pytest.Monk
     assert "map.blur" in (tmp_path / "d.csv").read_text()
     assert "map.blur" in (tmp_path / "d.json").read_text()
     assert metrics_named(["map.blur"]) == (new,)
-
-
-def test_a_line_that_continues_a_missing_one_has_its_own_name() -> None:
-    run = entry()
-    titles = [title for title, _ in picture_lines(run)]
-    assert titles.index("... after the ATE's alignment") == titles.index("F1 against the true-pose map") + 1
-    run["map"]["f1"] = None
-    names = [title for title, _ in picture_lines(run)]
-    assert "F1 aligned" in names
-    assert "start shift" in names
-    assert "... after the ATE's alignment" not in names
-    below = names[names.index("false occupied") :]
-    assert below[1:3] == ["... after the alignment", "... of the true-pose map itself"]

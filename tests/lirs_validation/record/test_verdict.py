@@ -126,6 +126,9 @@ GOOD = VerdictFigures(
         ({"error": 0.381}, "loses its way"),
         ({"error": 0.379}, "adds nothing"),
         ({"error": 0.269}, "works"),
+        ({"error": 0.226, "f1_aligned": 0.79}, "adds nothing"),
+        ({"error": 0.224, "f1_aligned": 0.79}, "path only"),
+        ({"error": 0.031, "odometry_error": 0.04, "f1_aligned": 0.79}, "adds nothing"),
         ({"error": 0.04, "odometry_error": 0.03}, "works"),
         ({"occupied": 0}, "adds nothing"),
         ({"occupied": None}, "works"),
@@ -173,6 +176,8 @@ def test_every_result_has_one_class_and_a_reason_unless_it_works(figures: Verdic
     assert (kind == "works") == (not reasons)
     if figures.error is not None and kind in ("works", "path only", "adds nothing"):
         assert figures.status in ("ok", "wall limit")
+    if kind == "path only" and None not in (figures.error, figures.odometry_error):
+        assert figures.error <= 0.75 * figures.odometry_error  # type: ignore[operator]
 
 
 ENTRY: dict[str, Any] = {
@@ -198,20 +203,42 @@ def test_the_sentence_names_cause_errors_map_and_evaluated_part() -> None:
     assert verdict.sentence == (
         "gmapping on jackal adds nothing to the odometry on quarry: "
         "at least half of its scans see nothing within 20 m. "
-        "Its path error is 0.205 m after 31 m, the odometry's 0.205 m. Its map has no occupied cells. "
+        "Its path error is 0.205 m after 31.0 m, the odometry's 0.205 m. Its map has no occupied cells. "
         "Evaluated on a window of 50 m of 16 km. "
         "The source's samples are 62 m apart: they do not resolve a robot of 0.64 m."
     )
     assert [reason.figure for reason in verdict.reasons] == ["occupied cells", "trajectory error"]
 
 
-def test_the_figures_of_the_map_are_those_after_alignment() -> None:
-    map_figures = {"f1": 0.67, "f1_aligned": 0.94, "false_occupied_aligned": 0.13, "occupied_cells": 9}
-    sentence = judge(ENTRY | {"map": map_figures | {"reference_false_occupied": 0.01}}).sentence
-    assert (
-        "After alignment, its map agrees with the true one by F1 0.94; "
-        "13 % of its occupied cells are false (1 % at the true poses)."
-    ) in sentence
+PAIR = {"f1": 0.67, "f1_aligned": 0.94, "false_occupied_aligned": 0.13, "reference_false_occupied": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("figures", "sentence"),
+    [
+        (PAIR, "Its map is not usable: 94 % of the walls agree, 13 % are false."),
+        (PAIR | {"reference_false_occupied": None}, "Its map is as good as its scans allow: 94 %"),
+        (PAIR | {"reference_false_occupied": 0.04}, "Its map is as good as its scans allow: 94 %"),
+        (PAIR | {"false_occupied_aligned": 0.004}, "right: 94 % of the walls agree, 0 % are false."),
+        (PAIR | {"f1_aligned": 0.55}, "Its map is not usable: 55 % of the walls agree, 13 % are false."),
+        (PAIR | {"false_occupied_aligned": None}, "Its map is right: 94 % of the walls agree."),
+        (PAIR | {"f1_aligned": None, "false_occupied_aligned": None}, "The map was not evaluated."),
+        (PAIR | {"occupied_cells": 0}, "Its map has no occupied cells."),
+        ({"elevation_rmse_aligned": 0.034, "reference_elevation_rmse": 0.01, "elevation_seen": 0.952},
+         "Its elevation map is right: its error is 0.034 m, 95 % of the visible ground is seen."),
+        ({"elevation_seen": 0.6}, "Its elevation map is not usable: 60 % of the visible ground is seen."),
+        ({"elevation_rmse_aligned": 0.3, "reference_elevation_rmse": 0.29, "elevation_seen": 0.9},
+         "Its elevation map is as good as its scans allow: its error is 0.300 m, 90 %"),
+        ({}, "The map was not evaluated."),
+    ],
+)  # fmt: skip
+def test_the_sentence_on_the_map_states_the_figures_that_decide(
+    figures: dict[str, Any], sentence: str
+) -> None:
+    verdict = judge(ENTRY | {"map": figures, "trajectory": ENTRY["trajectory"] | {"ate_rmse": 0.02}})
+    assert sentence in verdict.sentence
+    if verdict.kind in ("works", "path only"):
+        assert ("not usable" in verdict.sentence) == (verdict.kind == "path only")
 
 
 def test_the_end_of_an_ok_drive_is_no_cause() -> None:

@@ -138,18 +138,18 @@ def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
 
 
 def test_a_mean_says_how_many_values_it_holds(tmp_path: Path) -> None:
-    """A map of open ground has no F1: of three runs the mean was over one, and nothing said so."""
+    """A map of open ground has no walls: of three runs the mean was over one, and nothing said so."""
     for seed, f1 in ((1, 0.8), (2, None), (3, None)):
         saved(tmp_path, seed=seed, f1=f1)
     report, html = reported(tmp_path)
-    heading = report.tables["summary"].headings.index("F1")
+    heading = report.tables["summary"].headings.index("walls agree [%]")
     spread = report.tables["summary"].rows[0][heading]
     assert isinstance(spread, MetricSpread)
-    assert str(spread) == "0.800 (1 of 3)"
+    assert str(spread) == "80 (1 of 3)"
     assert "(n of N): n of the N runs have this value." in report.tables["summary"].caption
-    assert "median F1 (1 of 3 runs)" in html
+    assert "median walls agree [%] (1 of 3 runs)" in html
     line = next(csv.DictReader(io.StringIO(report.tables["summary"].as_csv())))
-    assert (line["F1 n"], line["F1 of"], line["ATE [m] of"]) == ("1", "3", "3")
+    assert (line["walls agree [%] n"], line["walls agree [%] of"], line["ATE [m] of"]) == ("1", "3", "3")
 
 
 def test_seeds_are_counted_in_each_group(tmp_path: Path) -> None:
@@ -207,9 +207,9 @@ def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> N
     assert here.values == repeats([40.0, 42.0])
     assert isinstance(there, MetricSpread)
     assert str(there) == "0.0200†"
-    assert "1 concurrent run has no RTF here." in table.caption
+    assert "RTF of 1 run not given: other runs used the processor." in table.caption
     assert "† extrapolated" in table.caption
-    assert table.rows[0][column + 1].values.count == 3  # type: ignore[union-attr]
+    assert table.rows[0][table.headings.index("ATE [m]")].values.count == 3  # type: ignore[union-attr]
 
 
 def test_a_page_of_failures_alone_is_a_page(tmp_path: Path) -> None:
