@@ -81,7 +81,7 @@ class Score:
         """Return the verdict on the result; None without a trajectory."""
         if not self.trajectory:
             return None
-        driven = {name: entry["trajectory"].get(name) for name in ("robot_lengths", "length")}
+        driven = {"robot_lengths": entry["trajectory"].get("robot_lengths")}
         own = {"status": self.status, "reason": self.reason, "map": self.map}
         return judge({**entry, **own, "trajectory": self.trajectory | driven}, method="the scored method")
 
