@@ -13,6 +13,7 @@ import pytest
 
 from lirs_envs.episodes.config import RANDOMIZED, EnvConfig
 from lirs_envs.episodes.observations import GROUPS
+from lirs_wct.geometry import LaserScan, OccupancyGrid
 from tests.command_line import check_command
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -87,6 +88,17 @@ def test_every_option_and_group_of_the_environments_is_explained() -> None:
     explained = re.findall(r"^    (\w+): ", inspect.getdoc(EnvConfig) or "", re.MULTILINE)
     assert {field.name for field in fields(EnvConfig) if field.init} <= set(explained)
     assert [name for name in (*GROUPS, *RANDOMIZED) if f"`{name}`" not in ENVIRONMENTS] == []
+
+
+@pytest.mark.parametrize("kind", [LaserScan, OccupancyGrid])
+def test_the_guide_for_mappers_lists_the_fields_of_their_values(kind: type) -> None:
+    section = (DOCS / "bring_your_own_mapper.md").read_text().split(f"\n### {kind.__name__}\n")[1]
+    rows = re.findall(r"^\| (`[^|]*) \| ([^|]*) \|", section.partition("\n#")[0], re.MULTILINE)
+    listed = {name: form for names, form in rows for name in re.findall(r"`(\w+)`", names)}
+    assert list(listed) == [field.name for field in fields(kind)]
+    types = {"Float32Array": "float32", "float": r"^(m|rad|s)$", "Pose2": "`Pose2`", "Pose3": "`Pose3`"}
+    for field in fields(kind):
+        assert re.search(types[str(field.type)], listed[field.name]), field.name
 
 
 def test_pictures_of_the_gallery_are_small() -> None:
