@@ -81,8 +81,10 @@ def test_the_mesh_loader_counts_ours_and_finds_the_texture(
     assert n <= vert == norm == uv
     assert idx == 3 * len(world.file_mesh.faces)
     assert "Unable to find" not in said
-    texture = Path(re.search(r"tex '([^']*)'", said)[1])  # type: ignore[index]
-    assert texture.resolve() == (folder / "materials/textures" / f"{world.name}.png").resolve()
+    textures = [Path(found).resolve() for found in re.findall(r"tex '([^']*)'", said)]
+    endings = ("", "-walls") if world.walls is not None else ("",)
+    names = [f"{world.name}{ending}.png" for ending in endings]
+    assert textures == [(folder / "materials/textures" / name).resolve() for name in names]
     low, high = (np.array(m.split()[:3], float) for m in re.search(r"min (.*) max (.*) mat", said).groups())  # type: ignore[union-attr]
     np.testing.assert_allclose((low, high), world.file_mesh.bounds, rtol=1e-5, atol=2e-5)
 

@@ -52,9 +52,9 @@ _EFFECT = """<effect id="{name}-effect"><profile_COMMON>{parameters}
 <technique sid="common"><lambert><diffuse>{diffuse}</diffuse></lambert></technique>
 </profile_COMMON></effect>
 """
-_PARAMETERS = """<newparam sid="surface"><surface type="2D"><init_from>{name}-texture</init_from></surface>
+_PARAMETERS = """<newparam sid="surface{k}"><surface type="2D"><init_from>{name}-texture</init_from></surface>
 </newparam>
-<newparam sid="sampler"><sampler2D><source>surface</source></sampler2D></newparam>"""
+<newparam sid="sampler{k}"><sampler2D><source>surface{k}</source></sampler2D></newparam>"""
 _MATERIAL = '<material id="{name}" name="{name}"><instance_effect url="#{name}-effect"/></material>\n'
 _SOURCE = """<source id="{id}"><float_array id="{id}-array" count="{size}">
 """
@@ -197,12 +197,12 @@ def _write_faces(
 def _head(parts: Sequence[MeshPart]) -> str:
     color = f"<color>{' '.join(map(str, GROUND))}</color>"
     images, effects = [], []
-    for part in parts:
+    for k, part in enumerate(parts):
         parameters, diffuse = "", color
         if part.texture is not None:
             images.append(_IMAGE.format(name=part.name, texture=escape(part.texture)))
-            parameters = _PARAMETERS.format(name=part.name)
-            diffuse = '<texture texture="sampler" texcoord="UV"/>'
+            parameters = _PARAMETERS.format(name=part.name, k=k or "")  # Gazebo takes the first of a name
+            diffuse = f'<texture texture="sampler{k or ""}" texcoord="UV"/>'
         effects.append(_EFFECT.format(name=part.name, parameters=parameters, diffuse=diffuse))
     return _HEAD.format(
         created=CREATED,

@@ -1,5 +1,6 @@
 """Writers of meshes: usual and brief COLLADA, whole and in pieces; corners of an OBJ."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -87,6 +88,9 @@ def test_parts_of_two_materials_are_one_object_with_one_layer(tmp_path: Path) ->
         triangles = bound.triangleset() if isinstance(bound, collada.polylist.BoundPolylist) else bound
         pictures[bound.material.effect.diffuse.sampler.surface.image.path] = len(triangles)
     assert pictures == {"ground.png": len(low.faces), "walls.png": len(high.faces)}
+    # Gazebo looks a sampler up in the whole document.
+    samplers = re.findall(r'newparam sid="(\w+)"', (tmp_path / "a.dae").read_text())
+    assert len(samplers) == len(set(samplers)) == 4
     for triangles, part in zip(triangles_of(shape), parts, strict=True):
         check_corners(corners_of(triangles), part.mesh)
 
