@@ -175,7 +175,7 @@ def _width(headings: Sequence[str], texts: Sequence[Sequence[str]], columns: Seq
     """Return the width of columns whose text breaks between words, characters."""
     parts = ([headings[k], *(row[k] for row in texts)] for k in columns)
     return sum(
-        max(len(word) for text in column for word in re.split(r"\n| (?!±)", text)) + 2 for column in parts
+        max(len(word) for text in column for word in re.split(r"\n|(?<!±) (?!±)", text)) + 2 for column in parts
     )
 
 

@@ -66,6 +66,15 @@ def test_no_name_is_broken_and_hidden_columns_are_listed(width: int) -> None:
     assert ("Columns hidden (widen the terminal):" in text) == (width < 200)
 
 
+@pytest.mark.parametrize("width", [70, 95, 120])
+def test_no_cell_is_broken_at_any_width(width: int) -> None:
+    table = replace(summary_table(ENTRIES), title="", caption="")
+    lines = shown(table, width).splitlines()
+    assert [line.split()[:2] for line in lines if line.startswith((" simple", " advanced"))] == [
+        list(row[:2]) for row in table.texts()
+    ]
+
+
 def test_a_narrow_screen_keeps_text_and_two_columns_of_numbers() -> None:
     rows = (("a_name_of_30_letters_0123456789", "1", "2", "3", "works"),)
     text = shown(ReportTable("t", "", "", ("world", "a", "b", "c", "verdict"), rows, remarks=True), 40)
