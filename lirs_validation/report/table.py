@@ -174,9 +174,8 @@ class ReportTable:
 def _width(headings: Sequence[str], texts: Sequence[Sequence[str]], columns: Sequence[int]) -> int:
     """Return the width of columns whose text breaks between words, characters."""
     parts = ([headings[k], *(row[k] for row in texts)] for k in columns)
-    return sum(
-        max(len(word) for text in column for word in re.split(r"\n|(?<!±) (?!±)", text)) + 2 for column in parts
-    )
+    words = (re.split(r"\n|(?<!±) (?!±)", "\n".join(column)) for column in parts)
+    return sum(2 + max(map(len, column)) for column in words)
 
 
 def _csv_column(heading: str, contents: Sequence[Content]) -> list[list[object]]:
