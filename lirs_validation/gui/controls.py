@@ -14,8 +14,8 @@ from lirs_wct import Pose2
 from lirs_wct.option import Option, Options, declared
 from lirs_wct.sources.source import SourceKind
 
-DEFAULT = "not given"
-"""Stands for "not given" among choices."""
+DEFAULT = re.compile(r"default: ([^,.;]+)", re.IGNORECASE)
+"""Default in the help of an option; stands for it among choices."""
 Kind = Literal["switch", "choice", "slider", "text", "file"]
 
 
@@ -45,8 +45,9 @@ class Control:
         initial: bool | float | str = f"{default:g}" if isinstance(default, float) else str(default)
         kind: Kind = "choice" if choices else "text"
         if default is None:
-            choices = (DEFAULT, *choices) if choices else ()
-            initial = DEFAULT if choices else ""
+            stated = DEFAULT.search(option.help)
+            initial = stated[1] if choices and stated else ""
+            choices = (initial, *choices) if choices else ()
         if option.type is bool:
             kind, initial = "switch", bool(default)
         elif option.slider is not None:

@@ -108,7 +108,9 @@ class SourceOptions(Options):
     """Options of any source, of pictures, laser maps, point clouds and meshes."""
 
     name: str | None = option(None, "Name of the world; default: the file's, of `map.yaml` the folder's.")
-    kind: Literal["picture", "map"] | None = option(None, "Read a picture as terrain or as laser map.")
+    kind: Literal["picture", "map"] | None = option(
+        None, "Read a picture as terrain or as laser map; default: the file's."
+    )
     window: tuple[float, float, float] | None = option(
         None,
         "Keep only this square of the world, meters.",
@@ -204,7 +206,7 @@ class SourceOptions(Options):
     )
     denoise: Literal["median", "bilateral"] | None = option(
         None,
-        "Filter noise out of the picture: single wrong pixels, or noise beside edges.",
+        "Filter noise out of the picture: single wrong pixels, or noise beside edges; default: none.",
         rare=True,
         **_FILTER,
     )

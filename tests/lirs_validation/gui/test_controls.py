@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from lirs_validation.config import RunConfig
 from lirs_validation.gui.controls import controls
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
@@ -23,6 +24,13 @@ def test_every_option_has_one_control() -> None:
 
 def test_untouched_controls_are_the_defaults() -> None:
     assert read_controls({c.name: c.initial for c in controls(BuildOptions)}) == BuildOptions()
+
+
+def test_choices_name_their_defaults() -> None:
+    every = (*controls(BuildOptions), *controls(RunConfig))
+    named = {c.name: c.initial for c in every if c.kind == "choice"}
+    assert all(named.values())
+    assert (named["lidar"], named["up"], named["denoise"]) == ("the robot's own", "the file's", "none")
 
 
 @pytest.mark.parametrize(
