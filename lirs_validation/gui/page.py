@@ -30,7 +30,7 @@ ABSOLUTE_PATH = re.compile(r"(?<![\w.:/])/(?:[^\s/:;,'\"]+/)*([^\s/:;,'\"]+)")
 """A path on the server, of which messages show the last part."""
 _LOG = logging.getLogger(__name__)
 PATIENCE = 0.4
-"""Seconds before a bar appears; shorter work shows none."""
+"""Seconds before progress appears; shorter work shows none."""
 PERIOD = 0.1
 """Seconds between two updates."""
 FIRST_PANEL = "Source"
@@ -160,6 +160,27 @@ class PageContext:
         self.scene, self.drive_scene = WorldScene(client), DriveScene(client)
         self.uploads, self.scenarios = Uploads(), ScenarioCache()
 
+    @contextmanager
+    def progress(self, work: str) -> Iterator[Progress]:
+        """Show the progress of a piece of work over the scene."""
+        last, shown = time.monotonic(), None
+
+        def progress(step: str, share: float) -> None:
+            nonlocal last, shown
+            now, text = time.monotonic(), f"{step}, {100 * min(1.0, max(0.0, share)):.0f} %"
+            if now - last < (PATIENCE if shown is None else PERIOD):
+                return
+            last = now
+            if shown is None:
+                shown = self.client.add_notification(work, text, loading=True, with_close_button=False)
+            shown.body = text
+
+        try:
+            yield progress
+        finally:
+            if shown is not None:
+                shown.remove()
+
     def send(self, folder: Path) -> None:
         """Let the browser save a folder as a zip archive."""
         self.client.send_file_download(f"{folder.name}.zip", zip_folder(folder), save_immediately=True)
@@ -175,35 +196,6 @@ def with_script(name: str, label: str) -> str:
     script = asset(f"{name}.js").replace("LABEL", label).replace('"', "&quot;").replace("\n", " ")
     mark = f'<img src="data:," alt="" style="display:none" onerror="({script})(this.parentElement)">'
     return asset(f"{name}.html").replace("SCRIPT", mark)
-
-
-class ProgressLine:
-    """Progress bar with a line of text, hidden while idle."""
-
-    def __init__(self, gui: viser.GuiApi) -> None:
-        self._text = gui.add_markdown("", visible=False)
-        self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
-
-    @contextmanager
-    def show(self, work: str) -> Iterator[Progress]:
-        """Show the progress of a piece of work."""
-        begun = last = time.monotonic()
-
-        def progress(step: str, share: float) -> None:
-            nonlocal last
-            now = time.monotonic()
-            if now - begun < PATIENCE or (now - last < PERIOD and self._bar.visible):
-                return
-            last = now
-            percent = 100.0 * min(1.0, max(0.0, share))
-            self._text.content = f"{work}: {step}, {percent:.0f} %"
-            self._bar.value = percent  # type: ignore[misc]
-            self._text.visible = self._bar.visible = True
-
-        try:
-            yield progress
-        finally:
-            self._text.visible = self._bar.visible = False
 
 
 class OptionControls:

@@ -19,6 +19,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from lirs_envs.robots.robot import Robot, make_robot
+from lirs_validation.gui.controls import without_flags
 from lirs_validation.gui.playback import MapSnapshot, Moment
 from lirs_validation.report.pictures import with_paths
 from lirs_wct import ByteArray, FloatArray, HeightField, Pose3, World
@@ -118,7 +119,8 @@ class WorldScene:
         camera = self._client.camera
         with self._client.atomic():
             camera.near, camera.far = span / 2000, 20 * span
-            camera.position = tuple(middle + span * np.array((0.0, -0.85, 0.65)))
+            away = span * max(1.0, 1.0 / camera.aspect)  # the whole width, also on a phone
+            camera.position = tuple(middle + away * np.array((0.0, -0.85, 0.65)))
             camera.look_at = tuple(middle)
             self._add_scale(west, south, east, north, float(world.surface.z.min()))
 
@@ -156,15 +158,15 @@ class DriveScene:
         self._robot: viser.FrameHandle | None = None
         self._map: MapSnapshot | None = None
         self._canvas: Canvas | None = None
+        self._verdict: viser.NotificationHandle | None = None
         self._cells = np.empty((0, 0, 3))
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Map", viser.Icon.MAP):
-            self._verdict = gui.add_markdown("")
-            self._picture = gui.add_image(UNSEEN, format="png")
+            self._picture = gui.add_image(UNSEEN, format="png", visible=False)
             self._legend = gui.add_markdown("")
             empty = (np.zeros(1),) * len(SERIES)
-            self._chart = gui.add_uplot(empty, SERIES, axes=AXES, scales=SCALES, height=190)
+            self._chart = gui.add_uplot(empty, SERIES, axes=AXES, scales=SCALES, height=190, visible=False)
             self._marks = gui.add_markdown("")
         self._panel.set_width(280)
         self._panel.dock_left()
@@ -184,8 +186,10 @@ class DriveScene:
         """Remove the drive from the scene."""
         if self._root is not None:
             self._root.remove()
-        self._root = self._robot = self._map = self._canvas = None
-        self._panel.visible = False
+        if self._verdict is not None:
+            self._verdict.remove()
+        self._root = self._robot = self._map = self._canvas = self._verdict = None
+        self._panel.visible = self._chart.visible = False
 
     def approach(self, position: FloatArray) -> None:
         """Look at a place from the south; north is up, as in the map."""
@@ -195,12 +199,13 @@ class DriveScene:
     def show_course(self, curve: FloatArray, marks: Sequence[tuple[float, str]]) -> None:
         """Show error and real-time factor over time, and events."""
         self._marks.content = ", ".join(f"{name} at {time:.0f} s" for time, name in marks)
-        if len(curve) == 0:
+        if len(curve) < 2:
             return
         events = np.array([time for time, _ in marks])
         times = np.union1d(curve[:, 0], events)
         ate, rtf = (np.interp(times, curve[:, 0], column) for column in curve[:, 1:].T)
         self._chart.data = times, ate, rtf, np.where(np.isin(times, events), 1.0, np.nan)
+        self._chart.visible = True
 
     def show(self, moment: Moment) -> None:
         """Show a moment."""
@@ -223,14 +228,19 @@ class DriveScene:
             if self.follow:  # from the user's chosen distance and direction
                 camera, turning = self._client.camera, time.monotonic() < self._turning_until
                 self._look_at(T.position, CAMERA_OFFSET if turning else camera.position - camera.look_at)
-        if self._canvas is None:
-            self._picture.image, size = UNSEEN, "nothing is mapped"
-        else:
+        self._picture.visible, size = self._canvas is not None, "nothing is mapped"
+        if self._canvas is not None:
             west, south, east, north = self._canvas.bounds
             size = f"{east - west:.0f} x {north - south:.0f} m"
             self._picture.image = with_paths(self._cells, self._canvas, moment.truth[:, :2], moment.estimate)
         self._legend.content = LEGEND.format(size, error_scale(moment.errors))
-        self._verdict.content = "**" + moment.verdict.replace(": ", ":** ", 1)
+        self._pin(*without_flags(moment.verdict).split(": ", 1))
+
+    def _pin(self, title: str, verdict: str) -> None:
+        """Keep the verdict visible over the scene."""
+        if self._verdict is None:
+            self._verdict = self._client.add_notification(title, verdict, with_close_button=False)
+        self._verdict.title, self._verdict.body = title, verdict
 
     def _take_map(self, snapshot: MapSnapshot | None) -> None:
         """Show the walls of another map, and keep its picture."""

@@ -21,7 +21,7 @@ from lirs_validation.gui.scene import ground_point
 from lirs_validation.gui.tabs import DriveTab, ReplayTab, WorldTab
 from lirs_wct import ConfigError
 
-LOADING = '<div id="root"><div class="lirs-loading" role="status">LIRS-WCT is loading ...</div></div>'
+LOADING = '<div id="root"></div><div class="lirs-loading" role="status">LIRS-WCT is loading ...</div>'
 
 
 class Page(PageContext):

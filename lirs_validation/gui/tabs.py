@@ -13,15 +13,7 @@ import viser
 from lirs_validation.config import RunConfig
 from lirs_validation.gui.construction import Facts, Shown, build, preview
 from lirs_validation.gui.controls import to_goal
-from lirs_validation.gui.page import (
-    OptionControls,
-    PageContext,
-    ProgressLine,
-    Stick,
-    add_drop_zone,
-    as_table,
-    asset,
-)
+from lirs_validation.gui.page import OptionControls, PageContext, Stick, add_drop_zone, as_table, asset
 from lirs_validation.gui.playback import LiveDrive, Playback, read_playback, runs_in, unpacked_run
 from lirs_validation.report.run_tables import command_of
 from lirs_wct import BuildOptions, ConfigError
@@ -39,7 +31,8 @@ PERIOD = 0.12
 """Seconds between two pictures."""
 SLICE = 0.05
 """Wall seconds of driving between two checks of the job queue."""
-SPEEDS = {"1 x real time": 1.0, "2 x": 2.0, "5 x": 5.0, "10 x": 10.0, "as fast as it goes": float("inf")}
+SPEEDS = {"1 x real time": 1.0, "2 x": 2.0, "5 x": 5.0, "10 x": 10.0, "no limit": float("inf")}
+SPEED, SPEED_HINT = "10 x", "As fast as this computer can, up to this speed."
 RUN_OPTIONS = ("robot", "mapper", "lidar", "driver", "seconds")
 """Options of a run above the folded ones."""
 NONE = "choose a run"
@@ -80,7 +73,6 @@ class WorldTab:
         self._build.on_click(guard(lambda _: self.build()))
         self._download = gui.add_button("Download the package", icon=viser.Icon.DOWNLOAD, disabled=True)
         self._download.on_click(guard(lambda _: page.worker.submit("download", self._send)))
-        self._progress = ProgressLine(gui)
         self._facts = gui.add_markdown("")
         self._options = OptionControls(
             gui, guard, BuildOptions, changed=self.preview, keep_file=self._keep, first=WORLD_OPTIONS
@@ -128,7 +120,7 @@ class WorldTab:
         self._page.worker.submit(f"open {name}", show_file)
 
     def _show_preview(self, source: str, name: str) -> None:
-        with self._progress.show(name) as progress:
+        with self._page.progress(name) as progress:
             shown = preview(source, self._read(), self._page.uploads.folder, progress)
             triangles = self._page.scene.show_world(shown.world, coarse=True)
         self._download.disabled = True
@@ -141,7 +133,7 @@ class WorldTab:
         try:
             name, options = self._source.value, self._read()
             formats = [name for name, box in self._formats.items() if box.value]
-            with self._progress.show(name) as progress:
+            with self._page.progress(name) as progress:
                 folder = self._page.uploads.folder
                 shown = build(self._sources[name], options, folder, formats, self._terrain.value, progress)
                 triangles = self._page.scene.show_world(shown.world, coarse=False)
@@ -172,22 +164,19 @@ class PlaybackTab(Generic[AnyPlayback]):
         self._time = self._shown_at = 0.0  # simulated time of the shown moment, wall time of its picture
         self._started = 0.0, 0.0  # wall time and simulated time at which playing began
 
-    def _add_play(
-        self, label: str, speeds: tuple[str, ...], speed: str, color: Literal["green"] | None = None
-    ) -> None:
+    def _add_play(self, label: str, speeds: tuple[str, ...], color: Literal["green"] | None = None) -> None:
         """Add the play button, the speeds and the switch that follows the robot."""
         gui, guard = self._page.client.gui, self._page.guard
         self._label = label
         self._play = gui.add_button(label, color=color, icon=viser.Icon.PLAYER_PLAY, disabled=True)
         self._play.on_click(guard(lambda _: self.press_play()))
-        self._speed = gui.add_dropdown("speed", speeds, initial_value=speed)
+        self._speed = gui.add_dropdown("speed", speeds, initial_value=SPEED, hint=SPEED_HINT)
         self._speed.on_update(guard(lambda _: self._restart_clock()))
         self._follow = gui.add_checkbox("follow robot", True)
         self._follow.on_update(guard(lambda _: self._apply()))
 
     def _add_timeline(self) -> None:
         gui = self._page.client.gui
-        self._progress = ProgressLine(gui)
         self._slider = gui.add_slider("timeline [s]", 0.0, 1.0, 0.1, 0.0, visible=False)
         self._slider.on_update(self._page.guard(self._go_to_slider))
         self._facts = gui.add_markdown("")
@@ -241,6 +230,8 @@ class PlaybackTab(Generic[AnyPlayback]):
         until, (wall, simulated) = time.monotonic() + SLICE, self._started
         wanted = simulated + SPEEDS[self._speed.value] * (until - wall)
         playback.drive_on(until, wanted)
+        if not playback.over and playback.time < wanted:  # slower than wanted: never made up for
+            self._started = until, playback.time
         ended = playback.over and wanted >= playback.time
         if ended or time.monotonic() - self._shown_at >= PERIOD:
             self._show_scan(playback.last_scan(wanted))
@@ -316,7 +307,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
             "Start", color="green", icon=viser.Icon.PLAYER_PLAY, hint="From the start pose."
         )
         start.on_click(self._page.guard(lambda _: self.start()))
-        self._add_play("Go on", tuple(SPEEDS), "2 x")
+        self._add_play("Go on", tuple(SPEEDS))
         self._step = gui.add_button("Step one scan", icon=viser.Icon.PLAYER_SKIP_FORWARD, disabled=True)
         self._step.on_click(self._page.guard(lambda _: self._page.worker.submit("step", self._step_one)))
         self._save = gui.add_button("Save the run", icon=viser.Icon.DOWNLOAD, disabled=True)
@@ -350,7 +341,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
         config = config if route is None else to_goal(config, *route)
         self._begun()
         self.playback = None
-        with self._progress.show(config.robot) as progress:
+        with self._page.progress(config.robot) as progress:
             drive = LiveDrive(config, self._page.scenarios, progress)
             self._page.scene.show_world(drive.world, coarse=False)
         self._begin(drive)
@@ -384,7 +375,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
     def _save_now(self) -> None:
         if self.playback is None:
             return
-        with self._progress.show("run") as progress:
+        with self._page.progress("run") as progress:
             folder = self.playback.save(self._page.uploads.folder / "runs", progress).folder
         if folder is not None:
             self._page.send(folder)
@@ -414,7 +405,7 @@ class ReplayTab(PlaybackTab[Playback]):
         super().__init__(page, begun)
         self._runs = runs
         self._add_choice(page.client.gui)
-        self._add_play("Play", tuple(SPEEDS)[:-1], "5 x", "green")
+        self._add_play("Play", tuple(SPEEDS)[:-1], "green")
         self._add_timeline()
 
     def _add_choice(self, gui: viser.GuiApi) -> None:
@@ -450,7 +441,7 @@ class ReplayTab(PlaybackTab[Playback]):
         if uploaded := isinstance(source, bytes):
             source = unpacked_run(source, self._page.uploads.folder / "replayed")
         self._begun()
-        with self._progress.show("run") as progress:
+        with self._page.progress("run") as progress:
             progress("read", 0.0)
             run = read_playback(source, self._page.scenarios, uploaded=uploaded)
             if run.world is not None:

@@ -33,8 +33,8 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 def open_page(browser: Any, server: Any) -> Iterator[Callable[..., Any]]:
     pages = []
 
-    def opened(width: int = 1000, height: int = 900) -> Any:
-        page = browser.new_page(viewport={"width": width, "height": height})
+    def opened(width: int = 1000, height: int = 900, touch: bool = False) -> Any:
+        page = browser.new_page(viewport={"width": width, "height": height}, has_touch=touch, is_mobile=touch)
         pages.append(page)
         page.set_default_timeout(PATIENCE)
         page.goto(server.address)

@@ -20,6 +20,22 @@ OUTSIDE = """() => [...document.querySelectorAll('button, input, label, img, cod
     return e.offsetParent && box.width && (box.left < 0 || box.right > innerWidth + 1);
   }).map(e => e.outerHTML.slice(0, 200))"""
 
+WATCH = """() => {
+  window.uncovered = [];
+  const look = () => {
+    const field = [...document.querySelectorAll('input')].find(e => e.value.startsWith('ws:'));
+    const box = field?.getBoundingClientRect();
+    if (box?.height) window.uncovered.push(document.elementFromPoint(box.left + 9, box.top + 9) === field);
+    requestAnimationFrame(look);
+  };
+  look();
+}"""
+TINY = """() => [...document.querySelectorAll('button, input, [role=tab], [role=button]')].filter(e => {
+    const box = e.getBoundingClientRect();
+    const least = e.type === 'checkbox' ? 28 : 44;
+    return e.offsetParent && e.type !== 'file' && Math.min(box.width, box.height) < least;
+  }).map(e => e.outerHTML.slice(0, 200))"""
+
 
 def _clicked_drive(page: Any) -> None:
     """Click start and goal on the ground of the world "simple"."""
@@ -35,9 +51,10 @@ def _clicked_drive(page: Any) -> None:
 def test_two_clicks_drive_and_the_end_says_what_is_next(open_page: Open, server: Any) -> None:
     page = open_page()
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    server.pages[0].drive._speed.value = "2 x"  # still driving when Space is pressed
     _clicked_drive(page)
     drive = server.pages[0].drive.playback
-    page.get_by_text("Verdict so far:").wait_for()
+    page.get_by_text("Verdict so far").wait_for()
     page.locator("canvas").first.focus()
     page.keyboard.press("Space")
     page.get_by_role("button", name="Go on").wait_for()
@@ -93,7 +110,7 @@ def test_a_refused_file_changes_nothing(open_page: Open, server: Any, picture: P
 
 @pytest.mark.parametrize("width", [390, 900, 1300])
 def test_controls_have_names_and_stay_inside(open_page: Open, server: Any, width: int) -> None:
-    page = open_page(width, 844)
+    page = open_page(width, 844, touch=width == 390)
     for tab in ("World", "Drive", "Replay"):
         page.get_by_role("tab", name=tab).click()
         if tab == "Drive":
@@ -111,6 +128,11 @@ def test_controls_have_names_and_stay_inside(open_page: Open, server: Any, width
     wait_for(lambda: page.evaluate(UNNAMED) == [])
     assert page.evaluate(OUTSIDE) == []
     if width == 390:
+        assert page.evaluate(TINY) == []
+        page.get_by_text("LIRS-WCT", exact=True).click()
+        page.get_by_role("tab", name="Drive").wait_for(state="hidden")
+        assert page.get_by_text("Verdict", exact=True).is_visible()
+        page.get_by_text("LIRS-WCT", exact=True).click()
         page.get_by_text("Map", exact=True).click()
     page.get_by_alt_text("Map of the drive").wait_for()
     wait_for(lambda: page.get_by_alt_text("Map of the drive").bounding_box()["width"] > 200)
@@ -121,13 +143,17 @@ def test_controls_have_names_and_stay_inside(open_page: Open, server: Any, width
 def test_title_icon_loading_and_dark_mode(browser: Any, server: Any) -> None:
     page = browser.new_page(color_scheme="dark")
     page.set_default_timeout(PATIENCE)
+    page.add_init_script(f"({WATCH})()")
     response = page.goto(server.address)
     assert 'class="lirs-loading" role="status"' in response.text()
     page.get_by_text("50 x 50 m").first.wait_for()
+    page.locator(".lirs-loading").wait_for(state="hidden")
+    uncovered = page.evaluate("window.uncovered")
+    assert uncovered  # the viewer's own settings were there
+    assert True not in uncovered  # below our loading state
     assert page.title() == "LIRS-WCT"
     icons = page.locator("link[rel=icon]")
     assert icons.count() == 1
     assert "0072B2" in icons.get_attribute("href")
     assert page.locator("html").get_attribute("data-mantine-color-scheme") == "dark"
-    assert not page.locator(".lirs-loading").count()
     page.close()

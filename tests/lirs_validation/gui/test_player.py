@@ -72,10 +72,16 @@ def test_a_drag_keeps_its_time_while_another_moment_is_shown(gui: Any) -> None:
     assert scene.times == pytest.approx([0.0, 5.0, 1.0])
 
 
-def test_a_run_plays_to_its_end_and_again_from_its_start(gui: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock that only sleeping advances."""
     clock = SimpleNamespace(now=100.0)
     monkeypatch.setattr("time.monotonic", lambda: clock.now)
     monkeypatch.setattr("time.sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))
+
+
+@pytest.mark.usefixtures("clock")
+def test_a_run_plays_to_its_end_and_again_from_its_start(gui: Any) -> None:
     tab, scene, jobs = replay(gui)
     tab._begin(drive())
     for _ in range(2):
@@ -84,7 +90,27 @@ def test_a_run_plays_to_its_end_and_again_from_its_start(gui: Any, monkeypatch: 
         play = jobs.pop()
         while tab.running:
             play()
-        assert scene.times[0] < 1.5
+        assert scene.times[0] < 3.0
         assert scene.times == sorted(scene.times)
         assert scene.times[-1] == pytest.approx(5.0)
-        assert len(scene.times) == pytest.approx(5.0 / 5 / 0.15, abs=2)  # 5 x, a picture each 0.12 s of wall
+        assert len(scene.times) == pytest.approx(5.0 / 10 / 0.15, abs=2)  # 10 x, a picture each 0.12 s
+
+
+@pytest.mark.usefixtures("clock")
+def test_a_drive_that_was_slow_does_not_make_up_for_it(gui: Any) -> None:
+    tab, _, _ = replay(gui)
+    slow = SimpleNamespace(over=False, time=0.0, speed=4.0)
+
+    def drive_on(until: float, time_limit: float) -> None:
+        slow.time = min(time_limit, slow.time + slow.speed * 0.05)
+
+    slow.drive_on = drive_on
+    tab.playback, tab.running, tab._shown_at = slow, True, np.inf
+    tab._restart_clock()
+    for _ in range(40):
+        tab._play_slice()
+    assert slow.time == pytest.approx(2 * 4.0)
+    slow.speed = 1000.0
+    for _ in range(40):
+        tab._play_slice()
+    assert slow.time == pytest.approx(2 * 4.0 + 2 * 10.0)
