@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import Enum
@@ -223,6 +224,14 @@ def changed(options: Options) -> dict[str, Any]:
     """Return the declared fields whose values differ from their defaults."""
     usual = defaults(type(options))
     return {name: getattr(options, name) for name in usual if getattr(options, name) != usual[name]}
+
+
+def command_line(command: str, source: str, options: Options, **others: Any) -> str:
+    """Return the command with the changed options of a source, and `others`."""
+    known = declared(type(options))
+    values = changed(options) | others
+    words = (word for name, value in values.items() for word in known[name].arguments(str(value)))
+    return shlex.join(["lirs-wct", command, source, *words])
 
 
 def digest_fields(options: Options) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Studies under benchmarks/: their stored rows and their arithmetic."""
 
-import csv
 import gzip
 import re
 import shutil
@@ -13,7 +12,18 @@ import pytest
 import yaml
 
 from benchmarks.forecast import came_true
-from benchmarks.log_quality import correlation, table, worsened
+from benchmarks.log_quality import (
+    conclusion,
+    conclusions,
+    correlation,
+    is_right,
+    is_told,
+    late,
+    stored_rows,
+    table,
+    thin_beams,
+    worsened,
+)
 from benchmarks.mrpt import write_rawlog
 from lirs_extensions.bench.tasks import task_set
 from lirs_extensions.search.falsify.search import SearchLimits, measure
@@ -82,17 +92,34 @@ ROOT = Path(__file__).resolve().parents[1]
 LINES = [f"FLASER 2 1.00 2.00 {x} 0 0 {x} 0 0 {x} host {x}\n" for x in np.arange(0.0, 10.0, 0.5)]
 
 
-def test_the_published_table_is_that_of_the_stored_rows() -> None:
-    with (ROOT / "benchmarks" / "log_quality.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+def test_the_published_tables_are_those_of_the_stored_rows() -> None:
+    rows = stored_rows(ROOT / "benchmarks" / "log_quality.csv")
     published = (ROOT / "docs" / "measured.md").read_text(encoding="utf-8")
-    lines = table(rows).splitlines()
-    assert all(line in published for line in lines[:-1])
+    lines = f"{table(rows)}\n{conclusions(rows)}".splitlines()
+    assert all(line in published for line in lines)
     logs = list(dict.fromkeys(row["log"] for row in rows))
     found = [correlation([row for row in rows if row["log"] == log], "revisit_residual") for log in logs]
-    assert len(logs) == 4
-    assert min(sum(row["log"] == log for row in rows) for log in logs) >= 12
-    assert np.median(found) >= 0.8
+    assert len(logs) >= 6
+    assert min(sum(row["log"] == log for row in rows) for log in logs) >= 9
+    assert np.nanmedian(found) >= 0.8
+    told = [is_told(row) for row in rows]
+    assert told.count(True) >= 0.8 * (len(told) - told.count(None))
+    assert sum(conclusion(row) == "probably right" and not is_right(row) for row in rows) <= 0.05 * len(rows)
+
+
+def test_changed_logs_keep_what_they_do_not_change(tmp_path: Path) -> None:
+    """Thinned beams keep their angles; a late odometry is that of half a second before."""
+    source = [f"FLASER 181 {' '.join(['2.00'] * 181)} {x} 0 0 {x} 0 0 {x} host {x}\n" for x in range(9)]
+    read = {}
+    for name, lines in (("whole", source), ("beams", thin_beams(source)), ("late", late(source))):
+        path = tmp_path / f"{name}.clf"
+        path.write_text("".join(lines))
+        read[name] = read_carmen(path)
+    whole, beams = read["whole"].scans[3], read["beams"].scans[3]
+    np.testing.assert_allclose(beams.angles, whole.angles[::4], atol=1e-8)
+    assert beams.stamp == whole.stamp
+    x = [pose.x for pose in read["late"].odometry if pose is not None]
+    np.testing.assert_allclose(x, [0.0, *np.arange(0.5, 8.0)])
 
 
 def test_worse_odometry_keeps_scans_and_stamps_and_leaves_the_path() -> None:

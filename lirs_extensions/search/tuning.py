@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -46,7 +45,7 @@ from lirs_validation.sweep.tasks import read_yaml_fields
 from lirs_wct import ConfigError, MapperError, SimulationError, Trajectory, unknown_name
 from lirs_wct.files import staged_files, write_json
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.option import changed, declared
+from lirs_wct.option import command_line
 from slam_baselines.mapper import make_mapper, read_parameters
 
 UNSEEN = 1000
@@ -256,16 +255,12 @@ def ros_text(drives: TuneDrives, tuned: Case) -> tuple[str, str]:
 def again(drives: TuneDrives, tuned: Case) -> str:
     """Return the command that runs the tuned values and the defaults again."""
     target, values = drives.target, drives.text(tuned)
-    options: dict[str, Any] = changed(target) | {"mapper": target.mapper}
     if isinstance(target, MapConfig):
-        command, source, options["parameters"] = "map", target.log, values
-    else:
-        command, source = "validate", target.source
-        options["parameters"] = f"{target.parameters or 'none'};{values}"
-        options["seed"] = f"{drives.seeds[1][0]}-{drives.seeds[1][-1]}"
-    known = declared(type(target))
-    words = [word for name, value in options.items() for word in known[name].arguments(str(value))]
-    return shlex.join(["lirs-wct", command, source, *words])
+        return command_line("map", target.log, target, mapper=target.mapper, parameters=values)
+    both = f"{target.parameters or 'none'};{values}"
+    seeds = f"{drives.seeds[1][0]}-{drives.seeds[1][-1]}"
+    options = {"mapper": target.mapper, "parameters": both, "seed": seeds}
+    return command_line("validate", target.source, target, **options)
 
 
 def write_results(out: Path, drives: TuneDrives, tuned: Case, found: UnseenComparison) -> tuple[Path, ...]:

@@ -66,7 +66,7 @@ from lirs_wct.formats.drive_files import write_tum
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.rosbag.topics import ANY
-from lirs_wct.option import check_names
+from lirs_wct.option import check_names, command_line
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.source import SourceKind, find_source, is_bag
@@ -279,7 +279,7 @@ def _compare(
     name = config.second or ("cartographer" if config.mapper == SECOND else SECOND)
     if name == "none":
         return None
-    other = replace(config, mapper=name, resolution=None, parameters="")
+    other = replace(config, mapper=name, resolution=None, parameters="", second=None)
     with log_mapper(other) as mapper:
         if mapper.requires_odometry and log.odometry[0] is None:
             return None
@@ -292,6 +292,7 @@ def _compare(
         "mapper": name,
         "difference": rms(distances) if len(distances) else None,
         "revisit_residual": own and own.revisit_residual,
+        "command": command_line("map", config.log, other, mapper=name),
     }
 
 

@@ -258,12 +258,14 @@ class ScanConsistency:
         pass_residual: Mean distance between scans of one pass, meters; None = too few hits.
         revisited: Share of the scans that another pass can test.
         wall_thickness: Median deviation of hits across walls, meters; None = too few hits.
+        longest_gap: Longest way between two scans, meters.
     """
 
     revisit_residual: float | None
     pass_residual: float | None
     revisited: float
     wall_thickness: float | None
+    longest_gap: float
 
 
 def scan_consistency(
@@ -281,6 +283,7 @@ def scan_consistency(
         pass_residual=_mean(total_within, compared_within),
         revisited=float((compared >= MIN_HITS).mean()),
         wall_thickness=_wall_thickness(placed.points()),
+        longest_gap=float(np.diff(placed.driven).max()),
     )
 
 

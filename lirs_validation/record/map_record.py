@@ -41,9 +41,9 @@ class MapRecord:
             other passes (contradicted; null where not tested).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
         accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.
-        quality: figures without truth: revisit_residual, pass_residual and wall_thickness (meters), revisited
-            (share); absent where the scans are not level. `second`: another mapper, the difference to its
-            path and its revisit_residual (meters); null where not compared.
+        quality: figures without truth: revisit_residual, pass_residual, wall_thickness, longest_gap (meters)
+            and revisited (share); absent of scans that are not level. `second`: another mapper, its command,
+            the difference to its path and its revisit_residual (meters); null where not compared.
         odometry: accuracy of the raw odometry alone; empty where the log has none.
         cost: seconds for reading, compiling and mapping; processor time; peak memory in bytes.
     """

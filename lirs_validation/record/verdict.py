@@ -30,9 +30,11 @@ from slam_baselines.mapper import short_name
 
 MIN_COVERAGE = 0.95
 """Share of the scans that need a pose: a few poses alone can be aligned with any truth."""
-AGREEING, DISAGREEING = 0.25, 0.4
-"""Revisit residuals of a mapped log up to which passes agree, and above which they disagree, meters
-(docs/measured.md)."""
+AGREEING, BETTER = 0.25, 0.85
+"""Largest revisit residual of a path that is probably right, meters, and share of it below which another
+path is the better one (docs/measured.md)."""
+MAX_GAP = 10.0
+"""Longest way without a scan over which the passes before and after it have one frame, meters."""
 DRIVE_ENDED = ("tipped", "stuck", "off world")
 """Statuses of a drive that could not go on; the driver's source of poses decides whose fault that is."""
 ACCEPTABLE = ("no reference", "path only")
@@ -41,9 +43,10 @@ ACCEPTABLE = ("no reference", "path only")
 VerdictClass = Literal[
     "failed", "no reference", "not evaluated", "loses its way", "adds nothing", "path only", "works"
 ]
+Conclusion = Literal["probably right", "doubtful", "cannot be checked"]
 LEADS: dict[VerdictClass, str] = {
     "failed": "{who} gives no result on {world}",
-    "no reference": "{who} cannot be judged on {world}: no true trajectory or relations are given",
+    "no reference": "{who}'s map of {world}",
     "not evaluated": "{who} was not evaluated on {world}",
     "loses its way": "{who} loses its way on {world}",
     "adds nothing": "{who} adds nothing to the odometry on {world}",
@@ -201,23 +204,17 @@ def incompleteness(coverage: float) -> str | None:
     )
 
 
-def revisit_agreement(residual: float) -> str:
-    """Return the agreement of passes in words, by the revisit residual in meters."""
-    if residual <= AGREEING:
-        return "the passes agree"
-    return "the passes agree in part" if residual <= DISAGREEING else "the passes disagree"
-
-
 @dataclass(frozen=True)
 class Verdict:
     """Class, sentence for the user and deciding figures of a run, a mapped log or a score.
 
-    No figure decides if the method works.
+    No figure decides if the method works. A mapped log without truth has a conclusion.
     """
 
     kind: VerdictClass
     sentence: str
     reasons: tuple[Reason, ...] = ()
+    conclusion: Conclusion | None = None
 
     def __str__(self) -> str:
         return self.sentence
@@ -225,7 +222,8 @@ class Verdict:
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict as a record stores it."""
         reasons = [asdict(reason) for reason in self.reasons]
-        return {"class": self.kind, "sentence": self.sentence, "reasons": reasons}
+        own = {"conclusion": self.conclusion} if self.conclusion else {}
+        return {"class": self.kind, "sentence": self.sentence, "reasons": reasons} | own
 
 
 def stored_verdict(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
@@ -259,38 +257,52 @@ def judge_log(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
     """Return the verdict on the record of a mapped log, given as nested dicts."""
     figures = log_figures(entry)
     kind, reasons = classify(figures, limits)
-    log = Path(entry["config"].get("log", entry["name"])).name
-    lead = LEADS[kind].format(who=short_name(entry["config"]["mapper"]), world=log)
-    reason = entry["reason"]
-    first = f"{lead}: {reason}." if reason and kind != "no reference" else f"{lead}."
+    log, reason, conclusion = entry["config"].get("log", entry["name"]), entry["reason"], None
+    lead = LEADS[kind].format(who=short_name(entry["config"]["mapper"]), world=Path(log).name)
+    if kind == "no reference":
+        conclusion, reason = conclude_log(entry)
+        lead += f" {conclusion}" if conclusion == "cannot be checked" else f" is {conclusion}"
+    first = f"{lead}: {reason}." if reason else f"{lead}."
     unfit = entry["log"].get("unfit") if kind != "works" else ""
     if unfit:  # the log is at fault, and not the mapper
-        first, reason = f"{log} is not fit for planar mapping: {unfit}.", ""
+        first = f"{Path(log).name} is not fit for planar mapping: {unfit}."
     doubts = [*entry["log"].get("findings", ()), *entry["log"].get("repaired", ())]
-    if doubts and not unfit and entry["status"] == "lost":
+    if doubts and not unfit and (entry["status"] == "lost" or conclusion == "doubtful"):
         first = f"{first} The log may be at fault: {doubts[0]}."
-    told = f"The mapper is lost: {reason}." if reason and kind == "no reference" else ""
-    unmapped = "" if kind == "failed" else "The map was not evaluated."
-    quality = _quality_sentence(entry.get("quality", {})) if kind == "no reference" else ""
-    parts = (first, told, quality, _path_sentence(figures), "" if quality else unmapped)
-    return Verdict(kind, " ".join(part for part in parts if part), reasons)
+    unmapped = "" if kind == "failed" or conclusion else "The map was not evaluated."
+    parts = (first, _path_sentence(figures), unmapped)
+    return Verdict(kind, " ".join(part for part in parts if part), reasons, conclusion)
 
 
-def _quality_sentence(quality: Entry) -> str:
-    """Return a mapped log's quality by figures that need no truth; empty without any."""
-    residual, second = quality.get("revisit_residual"), quality.get("second") or {}
-    clauses = []
-    if residual is not None:
-        clauses.append(f"walls seen again lie {residual:.2f} m apart ({revisit_agreement(residual)})")
-    elif quality.get("wall_thickness") is not None:
-        thick = f"walls are {quality['wall_thickness']:.3f} m thick"
-        clauses.append(f"no place is seen by two passes, so that its path cannot be checked; {thick}")
+def conclude_log(entry: Entry) -> tuple[Conclusion, str]:
+    """Return the conclusion on a mapped log without truth, and the reason in words."""
+    quality, fault = entry.get("quality", {}), entry["reason"] or entry["log"].get("unfit")
+    own, gap = quality.get("revisit_residual"), quality.get("longest_gap") or 0.0
+    second = quality.get("second") or {}
+    other = second.get("revisit_residual")
+    better = other is not None and other < BETTER * (AGREEING if own is None else own)
+    conclusion: Conclusion = "doubtful" if fault or (own or 0.0) > AGREEING else "probably right"
+    clauses = [fault] if fault else []
+    if not fault and (own is None or gap > MAX_GAP):
+        conclusion = "doubtful" if own is None and better else "cannot be checked"
+        nothing = (
+            "it passes no place twice" if quality.get("pass_residual") else "it has no level planar scans"
+        )
+        clauses.append(nothing if own is None else f"{gap:.0f} m of its path are without a scan")
+    if own is not None:
+        clauses.append(f"its walls agree {_up_to(own, AGREEING)}")
+    if other is not None:
+        walls = "" if own is not None else " walls agree"
+        clauses.append(f"{second['mapper']}'s{walls} {_up_to(other, min((own or 1.0) / BETTER, AGREEING))}")
     if second.get("difference") is not None:
-        apart = second["revisit_residual"]
-        own = "" if apart is None else f" (walls {apart:.2f} m apart)"
-        clauses.append(f"its path differs from {second['mapper']}'s{own} by {second['difference']:.2f} m")
-    text = "; ".join(clauses)
-    return f"{text[0].upper()}{text[1:]}." if text else ""
+        clauses.append(f"the two paths differ by {second['difference']:.2f} m")
+    if better:
+        clauses.append(f"{second['command']} gives the better path")
+    return conclusion, ", ".join(clauses)
+
+
+def _up_to(residual: float, most: float) -> str:
+    return f"{'only ' if residual > most else ''}to {residual:.2f} m"
 
 
 def class_counts(kinds: Iterable[str]) -> str:

@@ -163,11 +163,15 @@ def test_quality_without_truth_is_recorded_and_stated(room: Path, tmp_path: Path
     assert second["revisit_residual"] == other.record.quality["revisit_residual"]
     stored = json.loads((mapped.folder / "record.json").read_text())
     assert stored["quality"] == mapped.record.quality
-    assert f"differs from cartographer's by {difference:.2f} m" in mapped.record.verdict.sentence
+    assert stored["verdict"]["conclusion"] == "cannot be checked"
+    assert second["command"] == f"lirs-wct map {room / 'room.clf'} --mapper cartographer"
+    assert f"the two paths differ by {difference:.2f} m" in mapped.record.verdict.sentence
     assert "wall thickness" in dict(map_lines(mapped.record))
     overview = drawing.map_overview(mapped.record, mapped.grid, mapped.trajectory, None, mapped.accuracy)
     assert mapped.record.verdict.sentence in overview.get_suptitle().replace("\n", " ")
-    assert "on room.clf" in mapped.record.verdict.sentence
+    unchecked = "map of room.clf cannot be checked: it passes no place twice"
+    assert unchecked in mapped.record.verdict.sentence
+    assert with_truth.record.verdict.conclusion is None
     assert with_truth.record.quality["second"] is other.record.quality["second"] is None
 
 

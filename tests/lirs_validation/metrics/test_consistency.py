@@ -161,6 +161,15 @@ def test_one_pass_alone_has_no_revisit_residual() -> None:
     assert found.pass_residual is not None
 
 
+def test_the_longest_way_without_a_scan_is_measured() -> None:
+    kept = [k for k in range(len(TRUE)) if not 10 < k < 30]
+    trajectory = Trajectory.from_poses([SCANS[k].stamp for k in kept], [TRUE[k] for k in kept])
+    found = scan_consistency([SCANS[k] for k in kept], UNKNOWN[: len(kept)], trajectory)
+    assert found is not None
+    assert found.longest_gap == pytest.approx(TRUE[10].distance(TRUE[30]), abs=0.5)
+    assert true_quality().longest_gap < 0.2 * found.longest_gap
+
+
 def test_distances_are_those_to_the_nearest_hit() -> None:
     """Two scans of one wall, checked by a search through all pairs of hits."""
     poses = [Pose2(0.0, 0.0, 0.0), Pose2(0.0, 0.5, 0.1)]

@@ -21,7 +21,6 @@ from lirs_validation.record.verdict import (
     judge,
     judge_log,
     read_limits,
-    revisit_agreement,
     stored_verdict,
 )
 from lirs_wct.errors import ConfigError
@@ -69,19 +68,6 @@ def test_up_to_5_percent_of_the_scans_may_contradict_other_passes() -> None:
     assert inconsistency(None) is None
     assert inconsistency(0.05) is None
     assert "5.1 % of the scans" in (inconsistency(0.051) or "")
-
-
-@pytest.mark.parametrize(
-    ("residual", "words"),
-    [
-        (0.25, "the passes agree"),
-        (0.251, "the passes agree in part"),
-        (0.4, "the passes agree in part"),
-        (0.401, "the passes disagree"),
-    ],
-)
-def test_passes_agree_up_to_a_residual(residual: float, words: str) -> None:
-    assert revisit_agreement(residual) == words
 
 
 @pytest.mark.parametrize(
@@ -255,8 +241,8 @@ def test_a_log_without_truth_has_no_reference_but_says_that_it_is_lost() -> None
     entry = {"config": config, "name": "hall", "status": "lost", "reason": "contradicts itself"}
     entry |= {"accuracy": accuracy, "map": {"occupied": 3}, "trajectory": {"length": 9.0}, "log": {}}
     verdict = judge_log(entry)
-    assert verdict.kind == "no reference"
-    assert "The mapper is lost: contradicts itself." in verdict.sentence
+    assert (verdict.kind, verdict.conclusion) == ("no reference", "doubtful")
+    assert "hector's map of hall is doubtful: contradicts itself." in verdict.sentence
 
 
 def test_limits_are_read(tmp_path: Path) -> None:
@@ -294,11 +280,46 @@ def test_a_client_that_drives_into_a_dead_end_loses_its_way() -> None:
     assert (judge(by_hand).kind, judge(by_client).kind) == ("not evaluated", "loses its way")
 
 
-def test_a_log_of_one_pass_states_its_walls_and_what_they_do_not_tell() -> None:
+SECOND = {"mapper": "hector", "command": "lirs-wct map hall.clf --mapper hector"}
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "gap", "conclusion", "words"),
+    [
+        (0.25, 0.25, 10.0, "probably right", "its walls agree to 0.25 m, hector's to 0.25 m"),
+        (0.16, 0.34, 1.0, "probably right", "its walls agree to 0.16 m, hector's only to 0.34 m"),
+        (0.2, 0.1699, 1.0, "probably right", f"{SECOND['command']} gives the better path"),
+        (0.251, 0.26, 1.0, "doubtful", "its walls agree only to 0.25 m, hector's only to 0.26 m"),
+        (0.34, 0.16, 1.0, "doubtful", f"{SECOND['command']} gives the better path"),
+        (None, None, 1.0, "cannot be checked", "it passes no place twice"),
+        (None, 0.2, 1.0, "doubtful", "it passes no place twice, hector's walls agree to 0.20 m"),
+        (None, 0.3, 1.0, "cannot be checked", "hector's walls agree only to 0.30 m"),
+        (0.16, 0.16, 10.1, "cannot be checked", "10 m of its path are without a scan"),
+    ],
+)
+def test_a_log_without_truth_has_a_conclusion_and_its_reason(
+    own: float | None, other: float | None, gap: float, conclusion: str, words: str
+) -> None:
+    log = {"name": "hall", "status": "ok", "reason": "", "config": {"mapper": "gmapping"}, "log": {}}
+    second = SECOND | {"revisit_residual": other, "difference": 0.04}
+    quality = {"revisit_residual": own, "pass_residual": 0.1, "longest_gap": gap, "second": second}
+    verdict = judge_log(log | {"quality": quality})
+    assert verdict.conclusion == verdict.to_dict()["conclusion"] == conclusion
+    assert verdict.sentence.startswith("gmapping's map of hall ")
+    assert f"{conclusion}: " in verdict.sentence
+    assert words in verdict.sentence
+    assert "the two paths differ by 0.04 m" in verdict.sentence
+    better = other is not None and other < 0.85 * (own or 0.25)
+    assert (SECOND["command"] in verdict.sentence) == better
+
+
+def test_scans_that_are_not_level_leave_a_log_unchecked() -> None:
     log = {"name": "hall", "status": "ok", "reason": "", "config": {"mapper": "hector"}, "log": {}}
-    sentence = judge_log(log | {"quality": {"revisit_residual": None, "wall_thickness": 0.021}}).sentence
-    assert "No place is seen by two passes, so that its path cannot be checked" in sentence
-    assert "walls are 0.021 m thick" in sentence
+    verdict = judge_log(log | {"quality": {"second": None}})
+    assert verdict.conclusion == "cannot be checked"
+    assert "it has no level planar scans" in verdict.sentence
+    unfit = judge_log(log | {"quality": {"revisit_residual": 0.1}, "log": {"unfit": "odometry jumps"}})
+    assert (unfit.conclusion, "not fit" in unfit.sentence) == ("doubtful", True)
 
 
 def test_a_record_holds_its_verdict_and_other_limits_judge_it_again() -> None:
