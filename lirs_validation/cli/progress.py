@@ -67,6 +67,13 @@ def note(text: object, style: str | None = None) -> None:
     err.print(str(text), markup=False, highlight=False, soft_wrap=True, style=style)
 
 
+def duration_text(seconds: float) -> str:
+    """Return a duration in its largest unit."""
+    if seconds < 3600.0:
+        return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h"
+
+
 def command_line() -> str:
     """Return the command of this process, quoted for a shell."""
     return shlex.join(["lirs-wct", *sys.argv[1:]])
@@ -74,12 +81,16 @@ def command_line() -> str:
 
 def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> None:
     """Run a sweep: skip finished runs, then call `show`, also when interrupted."""
+    from lirs_validation.sweep.sweep import TimeLeft
     from lirs_validation.sweep.tasks import make_executor
 
     executor = make_executor(engine)
+    left = TimeLeft(sweep.pending).seconds(engine.jobs or 1)
     if sweep.kept:
         again = f"; {len(sweep.pending)} to run" if sweep.pending else ""
         note(f"kept {sweep.kept} of {len(sweep.tasks)} from before{again}")
+    if len(sweep.pending) > 1 and left is not None:
+        note(f"{len(sweep.pending)} runs: about {duration_text(left)} on an idle machine")
     try:
         for _ in run_with_progress(sweep, executor):
             pass
@@ -101,8 +112,8 @@ class ProgressNotes:
         self._compilations: dict[str, Timer] = {}
         self._explained = False
 
-    def observe(self, work: str, step: str, text: str, share: float) -> None:
-        """Take in a step of some work; write its text after a while."""
+    def observe(self, work: str, step: str, text: str, share: float, left: str = "") -> None:
+        """Take in a step of some work; write its text after a while, with the time left."""
         if step != "compile":
             self.end(work)
         elif work not in self._compilations and not self._explained:
@@ -111,7 +122,8 @@ class ProgressNotes:
             self._compilations[work].start()
         if not self._console.is_terminal and self._clock() >= self._due:
             self._due = self._clock() + LINE_PERIOD
-            self._console.print(f"{text}, {share:.0%}", highlight=False, markup=False, soft_wrap=True)
+            text = f"{text}, {share:.0%}{left and f', {left}'}"
+            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def end(self, work: str) -> None:
         """End the compilation of a piece of work."""
@@ -132,7 +144,7 @@ class ProgressNotes:
 @contextmanager
 def progress_bar(work: str, console: Console = err) -> Iterator[Progress]:
     """Show a bar with the time left while a piece of work goes on."""
-    with _bar(console) as bar, closing(ProgressNotes(console)) as notes:
+    with _bar(console, TimeRemainingColumn()) as bar, closing(ProgressNotes(console)) as notes:
         task = bar.add_task(work, total=None)
 
         def progress(step: str, share: float) -> None:
@@ -145,27 +157,32 @@ def progress_bar(work: str, console: Console = err) -> Iterator[Progress]:
 
 def run_with_progress(sweep: Sweep, executor: Executor, console: Console = err) -> Generator[Outcome]:
     """Run a sweep's tasks under a bar with the time left for all of them."""
+    from lirs_validation.sweep.sweep import TimeLeft
+
     running: dict[str, float] = {}
-    done, total = 0, len(sweep.pending)
-    count = TextColumn("{task.fields[done]}/{task.total:.0f}" if total > 1 else "")
-    with _bar(console, count) as bar, closing(ProgressNotes(console)) as notes:
-        task = bar.add_task("", total=float(total), done=0)
+    done, total, time_left = 0, len(sweep.pending), TimeLeft(sweep.pending)
+    columns = TextColumn("{task.fields[count]}"), TextColumn("{task.fields[left]}")
+    with _bar(console, *columns) as bar, closing(ProgressNotes(console)) as notes:
+        task = bar.add_task("", total=float(total), count="", left="")
 
         def progress_of(name: str) -> Progress:
             def progress(step: str, share: float) -> None:
                 running[name] = share
+                time_left.begin(name)
+                seconds, count = time_left.seconds(), f"{done}/{total} " if total > 1 else ""
+                left = "" if seconds is None else f"{duration_text(seconds)} left"
                 description, completed = f"{name}: {STEPS.get(step, step)}", done + sum(running.values())
-                bar.update(task, description=description, completed=completed)
-                text = f"{done}/{total} {description}" if total > 1 else description
-                notes.observe(name, step, text, completed / total)
+                bar.update(task, description=description, completed=completed, count=count, left=left)
+                notes.observe(name, step, count + description, completed / total, left)
 
             return progress
 
         for outcome in sweep.run(executor, progress_of):
             running.pop(outcome.task, None)
             notes.end(outcome.task)
+            time_left.end(outcome.task, outcome.compile_seconds)
             done += 1
-            bar.update(task, completed=done + sum(running.values()), done=done)
+            bar.update(task, completed=done + sum(running.values()))
             yield outcome
 
 
@@ -173,10 +190,9 @@ def _bar(console: Console, *columns: ProgressColumn) -> ProgressBar:
     return ProgressBar(
         TextColumn("{task.description}", style="bold", markup=False),
         BarColumn(),
-        *columns,
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        *columns,
         console=console,
         transient=True,
         disable=not console.is_terminal,

@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from lirs_validation.processes import importable
+from lirs_validation.record.run_record import code
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, CLOUD_MAPPERS, CloudMapper, Mapper, reads_clouds
 
@@ -144,11 +145,12 @@ def _module_of_file(file: Path) -> ModuleType:
 
 
 PROBE = """
-import sys, lirs_validation
+import sys
 from importlib.metadata import distributions
-print(next((each.version for each in distributions(name=sys.argv[1])), ""))
+from lirs_validation.record.run_record import code
+print(code(), next((each.version for each in distributions(name=sys.argv[1])), ""))
 """
-"""Program that prints the version of a package where lirs-wct is installed, else fails."""
+"""Program that prints the code of lirs-wct, where it is installed, and the version of a package."""
 PATIENCE = 60.0
 """Seconds within which an interpreter answers."""
 
@@ -160,17 +162,23 @@ def interpreter_of(mapper: str, interpreter: str) -> str:
         raise ConfigError(f"{interpreter}: no such program; --mapper-python takes a Python interpreter")
     method = CLOUD_MAPPERS.get(mapper)
     package = "lirs-wct" if method is None else method.distribution
-    if not version_there(python, package) and method is not None:
+    there, version = versions_there(python, package)
+    if there != code():
+        raise ConfigError(
+            f"{interpreter}: its lirs-wct must be this one, code {code()}, got code {there}: install it there"
+        )
+    if not version and method is not None:
         raise ConfigError(f"{interpreter}: has no package {package}, which {mapper} needs")
     return python
 
 
 @cache
-def version_there(python: str, package: str) -> str:
-    """Return the version of a package in another interpreter; empty without it."""
+def versions_there(python: str, package: str) -> tuple[str, str]:
+    """Return the code of lirs-wct and the version of a package, empty without it, in another interpreter."""
     command = [python, "-P", "-c", PROBE, package]
     try:
         printed = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True).stdout
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         raise ConfigError(f"{python}: cannot import lirs_validation: install lirs-wct there") from error
-    return printed.strip()
+    there, _, version = printed.strip().partition(" ")
+    return there, version

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
 import numpy as np
 
 from lirs_validation.config import DRIVERS, Attitude, MapConfig, RunConfig, driver_parts
-from lirs_validation.experiment.loading import interpreter_of, own_mapper, version_there
+from lirs_validation.experiment.loading import interpreter_of, own_mapper, versions_there
 from lirs_validation.processes import ChildProcess, Cost, CostMeter, is_interrupt
 from lirs_wct import (
     ConfigError,
@@ -278,7 +278,7 @@ def package_versions(mapper: str, interpreter: str | None = None) -> dict[str, s
     if interpreter is None:
         version = next((each.version for each in distributions(name=package)), "")
     else:
-        version = version_there(interpreter_of(mapper, interpreter), package)
+        version = versions_there(interpreter_of(mapper, interpreter), package)[1]
     return {package: version} if version else {}
 
 

@@ -6,17 +6,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise, product
 from typing import Final
 
-from lirs_validation.record.metric_catalog import NOTHING, Entry, Metric, metrics_named, significant, span
+from lirs_validation.record.metric_catalog import Entry, Metric, metrics_named, significant, span
 from lirs_validation.record.run_record import succeeded
-from lirs_validation.report.run_tables import EXTRAPOLATED, over_runs
+from lirs_validation.report.run_tables import EXTRAPOLATED, over_runs, without_rtf
 from lirs_validation.report.table import Content, ReportTable
+from lirs_validation.sweep.tasks import HEIGHTMAP, HUSKY, MAPPERS, OURS, SOLID, VIEWS, WORLDS
 
-HEIGHTMAP, SOLID, OURS = "heightmap-based", "solid-based", "ours"
-VIEWS: Final = {HEIGHTMAP: ("hfield", "mujoco"), SOLID: ("mesh", "mujoco"), OURS: ("hfield", "builtin")}
-"""Contact geometry and ray caster of each terrain representation. The first two are the paper's."""
-MAPPERS: Final = {"gmapping": "GMapping", "hector": "HectorSLAM", "cartographer": "Cartographer"}
-WORLDS: Final = {"simple": "II", "medium": "III", "advanced": "IV"}
-"""Worlds, and the tables that hold their RTF."""
 PUBLISHED_RTF: Final[dict[tuple[str, str, str], float]] = {
     ("medium", "gmapping", HEIGHTMAP): 0.04,
     ("medium", "gmapping", SOLID): 0.46,
@@ -31,9 +26,7 @@ PUBLISHED_RTF: Final[dict[tuple[str, str, str], float]] = {
     ("advanced", "cartographer", HEIGHTMAP): 0.011,
     ("advanced", "cartographer", SOLID): 0.57,
 }
-"""Tables III and IV, by world, mapper and view. Table II (`simple`) was printed without its values: lost."""
-HUSKY = "husky"
-"""Robot of Tables II to IV."""
+"""Tables III and IV, by world, mapper and view. Table II (`simple`) was printed without its values."""
 ROBOT_MEANS: Final = {"husky": 0.38, "turtlebot2": 0.52, "jackal": 0.47}
 """Average RTF over the three methods (Section III-D)."""
 COMFORTABLE_RTF = 0.3
@@ -49,8 +42,7 @@ COLLAPSE_RATIO = 10.0
 
 def paper_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
     """Return Tables II to IV and the means by robot, the paper's and ours."""
-    good = [entry for entry in entries if succeeded(entry)]
-    return (*(_world_table(world, good) for world in WORLDS), _robot_table(good))
+    return (*(_world_table(world, entries) for world in WORLDS), _robot_table(entries))
 
 
 def _world_table(world: str, entries: Sequence[Entry]) -> ReportTable:
@@ -61,20 +53,27 @@ def _world_table(world: str, entries: Sequence[Entry]) -> ReportTable:
         for view in VIEWS:
             if view != OURS:
                 row.append(_published_text(PUBLISHED_RTF.get((world, mapper, view))))
-            row.append(over_runs(RTF, husky_runs(entries, world, mapper, view)))
+            row.append(_mean_rtf(husky_runs(entries, world, mapper, view)))
         rows.append(tuple(row))
     headings = (
         "SLAM method", "heightmap-based, paper", "heightmap-based, here", "solid-based, paper",
         "solid-based, here", "ours",
     )  # fmt: skip
-    table = WORLDS[world]
-    lost = "" if world != "simple" else "The paper's Table II is lost: it was printed without its values. "
-    caption = (
-        f"{lost}RTF, mean over seeds ± half width of its 95 % interval where there are several; Husky. The "
-        "paper: Gazebo with ODE. Here: MuJoCo's height field with its own rays, the mesh with MuJoCo's rays, "
-        f"and our rays on the height field. {EXTRAPOLATED} stopped at the wall limit and extrapolated."
-    )
-    return ReportTable(f"table-{table}", f"Table {table}: {world} map", caption, headings, tuple(rows))
+    lines = ["The paper prints this table without its values."] if world == "simple" else []
+    if any(EXTRAPOLATED in str(cell) for row in rows for cell in row):
+        lines.append(f"{EXTRAPOLATED} stopped at the wall limit and extrapolated.")
+    lines += without_rtf([e for e in entries if (e["world"]["name"], e["config"]["robot"]) == (world, HUSKY)])
+    title = f"Table {WORLDS[world]}: {world} map, RTF"
+    return ReportTable(f"table-{WORLDS[world]}", title, " ".join(lines), headings, tuple(rows))
+
+
+def _mean_rtf(runs: Sequence[Entry], *, interval: bool = True) -> Content:
+    """Return the mean RTF of runs, or the reason why they have none."""
+    good = [run for run in runs if succeeded(run)]
+    spread = over_runs(RTF, good)
+    if spread.values is not None:
+        return spread if interval else RTF.formatted(spread.values.mean) + spread.mark
+    return "not given" if good else f"failed: {runs[0]['status']}" if runs else "not run"
 
 
 def _robot_table(entries: Sequence[Entry]) -> ReportTable:
@@ -82,19 +81,18 @@ def _robot_table(entries: Sequence[Entry]) -> ReportTable:
     rows = []
     for robot, value in ROBOT_MEANS.items():
         runs = [entry for entry in entries if entry["config"]["robot"] == robot]
-        here = [over_runs(RTF, [e for e in runs if _view(e) == view]) for view in (SOLID, OURS)]
-        means = [RTF.formatted(s.values.mean) + s.mark if s.values else NOTHING for s in here]
-        rows.append((robot, _published_text(value), *means))
+        views = ([entry for entry in runs if _view(entry) == view] for view in (SOLID, OURS))
+        rows.append((robot, _published_text(value), *(_mean_rtf(view, interval=False) for view in views)))
     caption = (
         "Mean RTF over all worlds, methods and seeds; without an interval, since worlds and methods are no "
         "repeats. The paper's are means on its solid worlds (Section III-D)."
     )
     headings = ("robot", "paper", "solid-based, here", "ours")
-    return ReportTable("robots", "Average RTF by robot", caption, headings, tuple(rows))
+    return ReportTable("robots", "Section III-D: average RTF by robot", caption, headings, tuple(rows))
 
 
 def _published_text(value: float | None) -> str:
-    return "lost" if value is None else f"{value:.2f}" if value > 0.02 else f"{value:.3f}"
+    return "not printed" if value is None else f"{value:.2f}" if value > 0.02 else f"{value:.3f}"
 
 
 def husky_runs(entries: Sequence[Entry], world: str, mapper: str, view: str) -> list[Entry]:
@@ -127,8 +125,8 @@ def findings_table(entries: Sequence[Entry]) -> ReportTable:
         _rank_finding(means, "gmapping", "slowest", min),
         _comfortable(means),
     )
-    headings = ("finding", "here", "runs here")
-    return ReportTable("findings", "Which of its findings hold here", "", headings, rows, 3)
+    headings = ("the paper says", "here", "because")
+    return ReportTable("findings", "Section V-B: which findings hold here", "", headings, rows, 3)
 
 
 def _answer(yes: int, of: int) -> str:

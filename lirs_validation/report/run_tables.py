@@ -177,7 +177,7 @@ def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
         if min(seeds) <= 1:
             lines.append("Without ±: one seed that finished.")
     if any(metric.section == "rtf" for metric in metrics):
-        lines += _without_rtf(entries)
+        lines += without_rtf(entries)
         if any(e["rtf"] and e["rtf"]["extrapolated"] for e in entries):
             lines.append(f"{EXTRAPOLATED} extrapolated: some drives were stopped at their wall limit.")
     if any(metric.key == ATE for metric in metrics):
@@ -185,7 +185,7 @@ def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
     return " ".join(lines)
 
 
-def _without_rtf(entries: Sequence[Entry]) -> list[str]:
+def without_rtf(entries: Sequence[Entry]) -> list[str]:
     """Return one sentence on runs whose RTF is not shown, if any."""
     loads = [load for e in entries if value_at(e, "rtf.mean") is not None and (load := other_load(e))]
     of = f" of {len(loads)} run{'s' if len(loads) > 1 else ''}" if len(loads) < len(entries) else ""
@@ -281,7 +281,7 @@ def results_table(entries: Sequence[Entry]) -> ReportTable:
     table = ReportTable(
         "runs",
         "",
-        "\n".join((*ended_lines(entries), *worse_lines(entries), *_without_rtf(entries))),
+        "\n".join((*ended_lines(entries), *worse_lines(entries), *without_rtf(entries))),
         (*facts, "verdict", *(metric.short or metric.heading for metric in metrics)),
         tuple(rows),
         len(facts),

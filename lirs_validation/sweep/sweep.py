@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import time
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,11 +27,21 @@ from lirs_validation.record.run_record import (
 from lirs_wct.errors import MapperError, OutputError, SourceError, WctError, reason_of
 from lirs_wct.files import atomic_folder, check_writable, remove_leftovers, write_json
 from lirs_wct.progress import Progress, no_progress
+from slam_baselines.mapper import MAPPERS
 
 MANIFEST = "sweep.json"
 MANIFEST_SCHEMA = 1
 ROUNDS = 2
 """Times that a task is run whose results cannot be written."""
+COLLISIONS = "collisions"
+"""Mapper of a collision validation's config."""
+TYPICAL_COST: dict[tuple[str, ...], tuple[float, float]] = {
+    ("hfield", "builtin"): (2.0, 16.0),
+    ("mesh", "mujoco"): (6.0, 4.0),
+    ("hfield", "mujoco"): (2.0, 0.025),
+    (COLLISIONS,): (0.0, 10.0),
+}
+"""Wall seconds beside the drive, and real-time factor, of an idle machine; a first guess of the time left."""
 ProgressOf = Callable[[str], Progress]
 """Function that returns the progress callback of a task by name."""
 
@@ -42,6 +54,7 @@ class Outcome:
         reason: Cause of the status in one line.
         trace: Traceback of the failure; empty without a failure.
         bad_input: Whether the user's input cannot be used.
+        compile_seconds: Wall seconds that the compiler took, the first time alone.
         written: Whether its folder is written.
         unwritable: Whether its results could not be written; it is run again.
     """
@@ -51,6 +64,7 @@ class Outcome:
     reason: str = ""
     trace: str = ""
     bad_input: bool = False
+    compile_seconds: float = 0.0
     written: bool = False
     unwritable: bool = False
 
@@ -277,3 +291,53 @@ class Sweep:
         except OutputError:
             return  # the disk is full: with the next result then
         self._manifest = None
+
+
+class TimeLeft:
+    """Wall time that the tasks of a sweep still need.
+
+    A task takes its typical time, times the ratio of actual to typical time of the ended tasks most like it.
+    """
+
+    def __init__(self, tasks: Sequence[SweepTask], clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._last_end = clock, clock()
+        self._costs = {task.name: _typical_cost(task.world_config) for task in tasks}
+        self._begun: dict[str, float] = {}
+        self._sums: dict[tuple[str, ...], tuple[float, float]] = {}
+
+    def begin(self, name: str) -> None:
+        """Take in that a task has begun, or goes on."""
+        self._begun.setdefault(name, self._clock())
+
+    def end(self, name: str, compile_seconds: float) -> None:
+        """Take in a task's end; one whose begin was not told began with the end of the last."""
+        now, (kinds, typical) = self._clock(), self._costs.pop(name)
+        seconds = now - self._begun.pop(name, self._last_end) - compile_seconds
+        for kind in kinds:
+            actual, usual = self._sums.get(kind, (0.0, 0.0))
+            self._sums[kind] = actual + seconds, usual + (typical or 1.0)
+        self._last_end = now
+
+    def seconds(self, jobs: int = 1) -> float | None:
+        """Return the seconds for all tasks left, `jobs` at a time if none has begun; None = not known yet."""
+        now, left = self._clock(), 0.0
+        for name, (kinds, typical) in self._costs.items():
+            actual, usual = next(filter(None, map(self._sums.get, kinds)), (1.0, 1.0))
+            if typical is None and not self._sums:
+                return None
+            left += max(0.0, (typical or 1.0) * actual / usual - now + self._begun.get(name, now))
+        return left / (len(self._begun) or jobs)
+
+
+def _typical_cost(config: RunConfig | None) -> tuple[list[tuple[str, ...]], float | None]:
+    """Return the kinds of a task, the narrowest first, and its seconds on an idle machine, if known."""
+    if config is None:
+        return [()], None
+    features = config.terrain, config.rays, config.robot, config.mapper, config.source
+    kinds = [features[:count] for count in range(len(features), -1, -1)]
+    beside, rtf = TYPICAL_COST.get(features[:2], (0.0, 0.0))
+    if not rtf or config.mapper not in (COLLISIONS, *MAPPERS):
+        return kinds, None
+    if config.mapper == COLLISIONS:
+        beside, rtf = TYPICAL_COST[(COLLISIONS,)]
+    return kinds, beside + min(config.seconds / rtf, config.wall_limit or math.inf)

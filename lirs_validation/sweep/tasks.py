@@ -28,7 +28,7 @@ from lirs_validation.record.run_record import (
     versions,
     world_files,
 )
-from lirs_validation.sweep.sweep import Executor, Outcome, Serial, SweepTask
+from lirs_validation.sweep.sweep import COLLISIONS, Executor, Outcome, Serial, SweepTask
 from lirs_wct import BuildOptions, unknown_name
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import SourceError, reason_of
@@ -43,13 +43,11 @@ class RunTask(SweepTask):
     """One validation run of a sweep.
 
     Attributes:
-        tables: Tables of the suite that its metrics belong to; empty outside suites.
         folder: Name of its folder; None = the run's unique name.
         brief: Whether to omit the replay of the physics and the overview picture.
     """
 
     config: RunConfig
-    tables: tuple[str, ...] = ()
     folder: str | None = None
     brief: bool = False
     marker: ClassVar[str] = RECORD
@@ -96,12 +94,14 @@ class RunTask(SweepTask):
             name=self.folder,
             brief=self.brief,
         ).record
-        return Outcome(task=self.name, status=record.status, reason=record.reason, written=True)
+        seconds = float(record.cost["compile_seconds"])
+        return Outcome(
+            task=self.name, status=record.status, reason=record.reason, compile_seconds=seconds, written=True
+        )
 
     def describe(self) -> dict[str, Any]:
-        """Return name, world and config, and the parts of the suite."""
-        config = asdict(self.config)
-        return {"name": self.name, "world": self.world, "tables": list(self.tables)} | config
+        """Return name, world and config."""
+        return {"name": self.name, "world": self.world} | asdict(self.config)
 
     def failure(self, outcome: Outcome) -> str:
         """Return a record without metrics."""
@@ -184,8 +184,8 @@ class CollisionTask(SweepTask):
 
     @cached_property
     def world_config(self) -> RunConfig:
-        """Config that gives the world and the name; its mapper is called `collisions`."""
-        return RunConfig(mapper="collisions", **asdict(self))
+        """Config that gives the world and the name; its mapper is `COLLISIONS`."""
+        return RunConfig(mapper=COLLISIONS, **asdict(self))
 
     def check(self) -> None:
         """Check that source and robot exist."""
@@ -207,8 +207,7 @@ class CollisionTask(SweepTask):
 
     def describe(self) -> dict[str, Any]:
         """Return name, world and options."""
-        world = world_name(self.world_config)
-        return {"name": self.name, "world": world, "tables": ["collisions"]} | asdict(self)
+        return {"name": self.name, "world": world_name(self.world_config)} | asdict(self)
 
     def failure(self, outcome: Outcome) -> str:
         """Return config, outcome and versions."""
@@ -262,44 +261,46 @@ def cross(
     )
 
 
-HEIGHTMAP_BASED: dict[str, Any] = {"terrain": "hfield", "rays": "mujoco"}
-SOLID_BASED: dict[str, Any] = {"terrain": "mesh", "rays": "mujoco"}
-OURS: dict[str, Any] = {"terrain": "hfield", "rays": "builtin"}
-"""The paper's two representations of a terrain as MuJoCo has them, and ours."""
-MAPPERS = ("gmapping", "hector", "cartographer")
-ROBOTS = ("husky", "turtlebot2", "jackal")
-TABLES = {"simple": ("II", "fig13a"), "medium": ("III", "fig13b"), "advanced": ("IV", "fig13c")}
-"""Published tables and figures, by world."""
-WALL_LIMIT = 120.0
-"""Wall seconds after which a hopelessly slow drive of the paper's suite is stopped and extrapolated."""
+HEIGHTMAP, SOLID, OURS = "heightmap-based", "solid-based", "ours"
+VIEWS: dict[str, tuple[ContactGeometry, str]] = {
+    HEIGHTMAP: ("hfield", "mujoco"),
+    SOLID: ("mesh", "mujoco"),
+    OURS: ("hfield", "builtin"),
+}
+"""Contact geometry and ray caster of each terrain representation. The first two are the paper's."""
+WORLDS = {"simple": "II", "medium": "III", "advanced": "IV"}
+"""Worlds, and the paper's tables that hold their RTF."""
+MAPPERS = {"gmapping": "GMapping", "hector": "HectorSLAM", "cartographer": "Cartographer"}
+HUSKY = "husky"
+"""Robot of the paper's Tables II to IV."""
+ROBOTS = (HUSKY, "turtlebot2", "jackal")
+SUITES: dict[str, dict[str, Any]] = {
+    "paper": {"wall_limit": 120.0},
+    "paper-short": {"seconds": 20.0, "wall_limit": 10.0},
+}
+"""Options of the paper's experiment in full and in ten minutes.
 
-
-def make_paper_suite(**options: Any) -> tuple[SweepTask, ...]:
-    """Return the tasks of the paper's Sections V and III-D, world by world.
-
-    Args:
-        **options: options of every run, in place of the suite's own (`seconds`, `seed`, `wall_limit`).
-    """
-    options = {"wall_limit": WALL_LIMIT} | options
-    tables: dict[RunConfig, tuple[str, ...]] = {}
-    for world, names in TABLES.items():
-        for view in (OURS, SOLID_BASED, HEIGHTMAP_BASED):
-            tables |= dict.fromkeys(cross(world, mapper=MAPPERS, **view, **options), names)
-        for view in (OURS, SOLID_BASED):
-            for config in cross(world, robot=ROBOTS, mapper=MAPPERS, **view, **options):
-                tables[config] = (*tables.get(config, ()), "robots")
-    tasks: list[RunTask | CollisionTask] = [
-        *(RunTask(config, names) for config, names in tables.items()),
-        *(CollisionTask(source=world, robot=robot) for world in TABLES for robot in ROBOTS),
-    ]
-    return tuple(sorted(tasks, key=lambda each: tuple(TABLES).index(each.world_config.source)))
+At the wall limit, seconds, a hopelessly slow drive is stopped, and its real-time factor extrapolated.
+"""
 
 
 def make_suite(name: str, **options: Any) -> tuple[SweepTask, ...]:
-    """Return the tasks of a suite (see `make_paper_suite`)."""
-    if name != "paper":
-        raise unknown_name("suite", name, ["paper"])
-    return make_paper_suite(**options)
+    """Return the tasks of the paper's Sections V and III-D, world by world.
+
+    Args:
+        name: Name of the suite.
+        **options: options of every run, in place of the suite's own (`seconds`, `seed`, `wall_limit`).
+    """
+    if name not in SUITES:
+        raise unknown_name("suite", name, SUITES)
+    tasks: list[SweepTask] = []
+    for world in WORLDS:
+        for mapper, view in itertools.product(MAPPERS, (OURS, SOLID, HEIGHTMAP)):
+            terrain, rays = VIEWS[view]
+            axes = {"robot": HUSKY if view == HEIGHTMAP else ROBOTS, "terrain": terrain, "rays": rays}
+            tasks += map(RunTask, cross(world, mapper=mapper, **SUITES[name] | axes | options))
+        tasks += (CollisionTask(source=world, robot=robot) for robot in ROBOTS)
+    return tuple(tasks)
 
 
 def make_executor(options: EngineOptions) -> Executor:

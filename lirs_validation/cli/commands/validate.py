@@ -39,8 +39,8 @@ class SweepOptions(Options):
     sources: tuple[str, ...] = sources_argument(default=())
     suite: str | None = option(
         None,
-        "A published experiment, or a file with cases, instead of sources and axes.",
-        metavar="paper|FILE.yaml",
+        "The paper's experiment, in full or in 10 minutes, or a file of cases; has its sources and axes.",
+        metavar="paper|paper-short|FILE.yaml",
     )
 
 

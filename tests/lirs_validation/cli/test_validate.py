@@ -68,7 +68,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
         (("simple", "--mapper", "evalio:foo"), "unknown mapper 'evalio:foo'; legal: evalio:ct, "),
         (("simple", "--mapper-python", "/none"), "/none: no such program; --mapper-python takes a Python"),
-        (("--suite", "papr"), "unknown suite 'papr'; legal: paper"),
+        (("--suite", "papr"), "unknown suite 'papr'; legal: paper, paper-short"),
         (("simple", "--suite", "paper", "--robot", "husky"), "leave out --robot, sources"),
         (("--suite", "paper", "--size", "3"), "leave out options of build"),
     ],

@@ -13,6 +13,7 @@ from lirs_validation import RunConfig
 from lirs_validation.experiment import loading
 from lirs_validation.experiment.loading import interpreter_of
 from lirs_validation.experiment.mapper_under_test import MapperProcess, SensorReadings, package_versions
+from lirs_validation.record.run_record import code
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry import ImuReadings, LaserScan, PointCloud, Pose2, Pose3
 
@@ -142,7 +143,22 @@ def test_an_interpreter_that_cannot_be_used_is_refused_in_a_line(
 
 
 def test_a_given_interpreter_must_hold_the_systems_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loading, "version_there", lambda python, package: "")
+    monkeypatch.setattr(loading, "versions_there", lambda python, package: (code(), ""))
     with pytest.raises(ConfigError, match=f"^{sys.executable}: has no package rko-lio, which rko-lio needs$"):
         interpreter_of("rko-lio", sys.executable)
     assert interpreter_of("own_slam:Own", sys.executable) == sys.executable
+
+
+def test_an_interpreter_with_other_code_of_ours_is_refused(tmp_path: Path) -> None:
+    """A mapper ran with it, and the record held this one's code."""
+    python = tmp_path / "python"
+    changed = "import lirs_validation.record.run_record as r; r.OWN_PACKAGES = r.OWN_PACKAGES[1:]"
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    (tmp_path / "sitecustomize.py").write_text(changed)
+    python.write_text(f'#!/bin/sh\nPYTHONPATH={path} exec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    wanted = (
+        f"^{python}: its lirs-wct must be this one, code {code()}, got code [0-9a-f]{{8}}: install it there"
+    )
+    with pytest.raises(ConfigError, match=wanted):
+        interpreter_of("own_slam:Own", str(python))

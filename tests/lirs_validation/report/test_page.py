@@ -226,7 +226,7 @@ def test_a_suites_page_tells_of_the_paper(tmp_path: Path) -> None:
         json.dumps({"suite": "paper", "command": "lirs-wct validate --suite paper"})
     )
     _, html = reported(tmp_path)
-    for words in ("Table II: simple map", "Table IV: advanced map", "Average RTF by robot", "lost"):
+    for words in ("Table II: simple map", "Table IV: advanced map", "average RTF by robot", "not printed"):
         assert words in html
     assert "lirs-wct validate --suite paper" in html
 

@@ -1,6 +1,6 @@
 """Crossing of run options, suites, and engines by their options."""
 
-from itertools import groupby
+from itertools import groupby, product
 from typing import Any
 
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.sweep.engines import Processes, RayCluster
 from lirs_validation.sweep.sweep import Serial
-from lirs_validation.sweep.tasks import WALL_LIMIT, CollisionTask, RunTask, cross, make_executor, make_suite
+from lirs_validation.sweep.tasks import SUITES, CollisionTask, RunTask, cross, make_executor, make_suite
 from lirs_wct.errors import ConfigError
 
 
@@ -47,29 +47,18 @@ def test_the_papers_suite_has_every_run_of_its_tables_once() -> None:
     experiments = make_suite("paper", seed=(1, 2))
     runs = [experiment for experiment in experiments if isinstance(experiment, RunTask)]
     assert len({experiment.name for experiment in experiments}) == len(experiments)
-    for table in ("II", "III", "IV"):
-        of_table = [experiment.config for experiment in runs if table in experiment.tables]
-        assert {c.robot for c in of_table} == {"husky"}
-        assert len({c.source for c in of_table}) == 1
-        kinds = {(c.terrain, c.rays, c.mapper, c.seed) for c in of_table}
-        representations = (("hfield", "builtin"), ("hfield", "mujoco"), ("mesh", "mujoco"))
-        mappers = ("gmapping", "hector", "cartographer")
-        assert kinds == {
-            (*view, mapper, seed) for view in representations for mapper in mappers for seed in (1, 2)
-        }
-        assert len(of_table) == len(kinds)
-    robots = [experiment.config for experiment in runs if "robots" in experiment.tables]
-    assert len(robots) == 3 * 3 * 3 * 2 * 2
-    assert {c.robot for c in robots} == {"husky", "turtlebot2", "jackal"}
+    kinds = {(c.source, c.robot, c.mapper, c.seed, c.terrain, c.rays) for c in (run.config for run in runs)}
+    worlds, robots = ("simple", "medium", "advanced"), ("husky", "turtlebot2", "jackal")
+    shared = worlds, robots, ("gmapping", "hector", "cartographer"), (1, 2)
+    heightmaps = {row for row in product(*shared, ("hfield",), ("mujoco",)) if row[1] == "husky"}
+    others = {*product(*shared, ("hfield",), ("builtin",)), *product(*shared, ("mesh",), ("mujoco",))}
+    assert kinds == heightmaps | others
+    assert len(runs) == len(kinds)
     checks = [experiment for experiment in experiments if isinstance(experiment, CollisionTask)]
-    assert {(c.source, c.robot) for c in checks} == {
-        (world, robot)
-        for world in ("simple", "medium", "advanced")
-        for robot in ("husky", "turtlebot2", "jackal")
-    }
-    assert all(experiment.config.wall_limit == WALL_LIMIT for experiment in runs)
+    assert {(c.source, c.robot) for c in checks} == set(product(worlds, robots))
+    assert all(experiment.config.wall_limit == SUITES["paper"]["wall_limit"] for experiment in runs)
     assert {e.config.seconds for e in make_suite("paper", seconds=7.0) if isinstance(e, RunTask)} == {7.0}
-    with pytest.raises(ConfigError, match="unknown suite 'papr'; legal: paper"):
+    with pytest.raises(ConfigError, match="unknown suite 'papr'; legal: paper, paper-short"):
         make_suite("papr")
 
 
