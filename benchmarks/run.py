@@ -19,7 +19,8 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.mapper_under_test import mapper_named
 from lirs_validation.experiment.run import Run, drive_and_conclude, prepare
 from lirs_validation.metrics.trajectory import trajectory_errors
-from lirs_validation.report.paper import PUBLISHED_RTF, SOLID
+from lirs_validation.report.paper import PUBLISHED_RTF
+from lirs_validation.sweep.tasks import SOLID
 from lirs_wct.option import read_numbers
 
 WORLDS = ("simple", "medium", "advanced")

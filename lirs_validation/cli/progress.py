@@ -49,8 +49,6 @@ STEPS = {
     "collide": "colliding",
 }
 """Steps as they are shown; any other stands as it is."""
-SPEED_PERIOD = 3600.0
-"""The time left is estimated from the last so many seconds: tasks take minutes, and differ."""
 SLOW_COMPILATION = 2.0
 """Seconds of compilation after which a line explains it."""
 LINE_PERIOD = 10.0
@@ -81,14 +79,15 @@ def command_line() -> str:
 
 def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> None:
     """Run a sweep: skip finished runs, then call `show`, also when interrupted."""
-    from lirs_validation.sweep.sweep import TimeLeft
-    from lirs_validation.sweep.tasks import make_executor
+    from lirs_validation.sweep.tasks import SUITES, make_executor
 
     executor = make_executor(engine)
-    left = TimeLeft(sweep.pending).seconds(engine.jobs or 1)
+    if sweep.suite in SUITES and engine.jobs not in (None, 1):
+        note("concurrent runs give no RTF, which the paper's tables hold: leave out --jobs", style="yellow")
     if sweep.kept:
         again = f"; {len(sweep.pending)} to run" if sweep.pending else ""
         note(f"kept {sweep.kept} of {len(sweep.tasks)} from before{again}")
+    left = sweep.time_left.seconds(engine.jobs or 1)
     if len(sweep.pending) > 1 and left is not None:
         note(f"{len(sweep.pending)} runs: about {duration_text(left)} on an idle machine")
     try:
@@ -157,32 +156,32 @@ def progress_bar(work: str, console: Console = err) -> Iterator[Progress]:
 
 def run_with_progress(sweep: Sweep, executor: Executor, console: Console = err) -> Generator[Outcome]:
     """Run a sweep's tasks under a bar with the time left for all of them."""
-    from lirs_validation.sweep.sweep import TimeLeft
-
     running: dict[str, float] = {}
-    done, total, time_left = 0, len(sweep.pending), TimeLeft(sweep.pending)
-    columns = TextColumn("{task.fields[count]}"), TextColumn("{task.fields[left]}")
-    with _bar(console, *columns) as bar, closing(ProgressNotes(console)) as notes:
-        task = bar.add_task("", total=float(total), count="", left="")
+    done, total, time_left = 0, len(sweep.pending), sweep.time_left
+    with _bar(console, TextColumn("{task.fields[left]}")) as bar, closing(ProgressNotes(console)) as notes:
+        task = bar.add_task("", total=float(total), left="")
+
+        def show(name: str, step: str) -> None:
+            seconds, completed = time_left.seconds(), done + sum(running.values())
+            left = "" if seconds is None else f"{duration_text(seconds)} left"
+            text = f"{done}/{total} " * (total > 1) + f"{name}: {STEPS.get(step, step)}"
+            bar.update(task, description=text, completed=completed, left=left)
+            notes.observe(name, step, text, completed / total, left)
 
         def progress_of(name: str) -> Progress:
             def progress(step: str, share: float) -> None:
                 running[name] = share
                 time_left.begin(name)
-                seconds, count = time_left.seconds(), f"{done}/{total} " if total > 1 else ""
-                left = "" if seconds is None else f"{duration_text(seconds)} left"
-                description, completed = f"{name}: {STEPS.get(step, step)}", done + sum(running.values())
-                bar.update(task, description=description, completed=completed, count=count, left=left)
-                notes.observe(name, step, count + description, completed / total, left)
+                show(name, step)
 
             return progress
 
         for outcome in sweep.run(executor, progress_of):
             running.pop(outcome.task, None)
-            notes.end(outcome.task)
             time_left.end(outcome.task, outcome.compile_seconds)
             done += 1
-            bar.update(task, completed=done + sum(running.values()))
+            show(outcome.task, outcome.status)
+            notes.end(outcome.task)
             yield outcome
 
 
@@ -196,5 +195,4 @@ def _bar(console: Console, *columns: ProgressColumn) -> ProgressBar:
         console=console,
         transient=True,
         disable=not console.is_terminal,
-        speed_estimate_period=SPEED_PERIOD,
     )

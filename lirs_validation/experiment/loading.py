@@ -165,7 +165,7 @@ def interpreter_of(mapper: str, interpreter: str) -> str:
     there, version = versions_there(python, package)
     if there != code():
         raise ConfigError(
-            f"{interpreter}: its lirs-wct must be this one, code {code()}, got code {there}: install it there"
+            f"{interpreter}: lirs-wct must have code {code()}, got {there}; install this one there"
         )
     if not version and method is not None:
         raise ConfigError(f"{interpreter}: has no package {package}, which {mapper} needs")

@@ -10,7 +10,7 @@ from lirs_validation.record.metric_catalog import Entry, Metric, metrics_named, 
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.run_tables import EXTRAPOLATED, over_runs, without_rtf
 from lirs_validation.report.table import Content, ReportTable
-from lirs_validation.sweep.tasks import HEIGHTMAP, HUSKY, MAPPERS, OURS, SOLID, VIEWS, WORLDS
+from lirs_validation.sweep.tasks import HEIGHTMAP, HUSKY, MAPPERS, OURS, SOLID, SUITES, VIEWS, WORLDS
 
 PUBLISHED_RTF: Final[dict[tuple[str, str, str], float]] = {
     ("medium", "gmapping", HEIGHTMAP): 0.04,
@@ -45,6 +45,11 @@ def paper_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
     return (*(_world_table(world, entries) for world in WORLDS), _robot_table(entries))
 
 
+def suite_tables(suite: object, entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
+    """Return tables and findings for a suite of the paper; none for other suites."""
+    return (*paper_tables(entries), findings_table(entries)) if str(suite) in SUITES else ()
+
+
 def _world_table(world: str, entries: Sequence[Entry]) -> ReportTable:
     """Return one of Tables II to IV."""
     rows: list[tuple[Content, ...]] = []
@@ -55,10 +60,8 @@ def _world_table(world: str, entries: Sequence[Entry]) -> ReportTable:
                 row.append(_published_text(PUBLISHED_RTF.get((world, mapper, view))))
             row.append(_mean_rtf(husky_runs(entries, world, mapper, view)))
         rows.append(tuple(row))
-    headings = (
-        "SLAM method", "heightmap-based, paper", "heightmap-based, here", "solid-based, paper",
-        "solid-based, here", "ours",
-    )  # fmt: skip
+    columns = (f"{view}, {whose}" for view in (HEIGHTMAP, SOLID) for whose in ("paper", "here"))
+    headings = ("SLAM method", *columns, OURS)
     lines = ["The paper prints this table without its values."] if world == "simple" else []
     if any(EXTRAPOLATED in str(cell) for row in rows for cell in row):
         lines.append(f"{EXTRAPOLATED} stopped at the wall limit and extrapolated.")
@@ -125,8 +128,8 @@ def findings_table(entries: Sequence[Entry]) -> ReportTable:
         _rank_finding(means, "gmapping", "slowest", min),
         _comfortable(means),
     )
-    headings = ("the paper says", "here", "because")
-    return ReportTable("findings", "Section V-B: which findings hold here", "", headings, rows, 3)
+    headings, caption = ("the paper says", "here", "because"), " ".join(without_rtf(entries))
+    return ReportTable("findings", "Section V-B: which findings hold here", caption, headings, rows, 3)
 
 
 def _answer(yes: int, of: int) -> str:
@@ -141,7 +144,7 @@ def _collapse(means: Means) -> Finding:
     claim = "Heightmap-based worlds collapse: their RTF falls towards zero, solid-based ones stay usable."
     ratios = _ratios(means)
     if not ratios:
-        return (claim, "cannot be said", "no heightmap-based run has a solid-based one beside it.")
+        return (claim, "cannot be said", "no heightmap-based RTF has a solid-based one beside it.")
     slow = [rtf for key, rtf in means.items() if key[2] == HEIGHTMAP]
     published = list(_ratios(PUBLISHED_RTF).values())
     collapsed = sum(
@@ -163,7 +166,7 @@ def _worse_with_terrain(means: Means) -> Finding:
     whole = {m: values for m, values in series.items() if len(values) == len(WORLDS)}
     falling = sum(all(a > b for a, b in pairwise(v)) for v in whole.values())
     texts = "; ".join(f"{MAPPERS[m]} {', '.join(map(significant, v))}" for m, v in whole.items())
-    return (claim, _answer(falling, len(whole)), f"{texts}." if texts else "not all worlds have such runs.")
+    return (claim, _answer(falling, len(whole)), f"{texts}." if texts else "not all worlds have such an RTF.")
 
 
 def _rank_finding(means: Means, mapper: str, rank: str, best: Callable[[Iterable[float]], float]) -> Finding:
@@ -177,7 +180,7 @@ def _rank_finding(means: Means, mapper: str, rank: str, best: Callable[[Iterable
             won[next(m for m, v in values.items() if v == wanted)].append(f"{world} {view}")
     asked = sum(map(len, won.values()))
     if not asked:
-        return (claim, "cannot be said", "no world has runs of all three.")
+        return (claim, "cannot be said", "no world has the RTF of all three.")
     others = [f"{MAPPERS[m]} ({', '.join(where)})" for m, where in won.items() if where and m != mapper]
     because = (
         f"in {len(won[mapper])} of {asked} comparisons (world and representation, Husky, by the mean RTF)"
@@ -192,9 +195,7 @@ def _comfortable(means: Means) -> Finding:
     values = [rtf for key, rtf in means.items() if key[2] == SOLID]
     ours = [rtf for key, rtf in means.items() if key[2] == OURS]
     enough = sum(rtf >= COMFORTABLE_RTF for rtf in values)
-    because = (
-        f"{enough} of {len(values)} solid-based groups, RTF {span(values)}" if values else "no such runs"
-    )
+    because = f"{enough} of {len(values)} solid-based groups, RTF {span(values)}" if values else "no such RTF"
     because += f"; ours {span(ours)}." if ours else "."
     return (claim, _answer(enough, len(values)), because)
 

@@ -21,7 +21,7 @@ from lirs_validation.record.metric_catalog import (
 )
 from lirs_validation.record.run_record import RunGroup, by_group, succeeded, unusual_fields
 from lirs_validation.report.page import PageFigure, PageSection, Tile, page_html
-from lirs_validation.report.paper import findings_table, paper_tables
+from lirs_validation.report.paper import suite_tables
 from lirs_validation.report.pictures import distribution_chart, rtf_chart, run_figure
 from lirs_validation.report.run_tables import (
     SECTIONS,
@@ -36,7 +36,6 @@ from lirs_validation.report.run_tables import (
     verdicts_by_method,
 )
 from lirs_validation.report.table import ReportTable
-from lirs_validation.sweep.tasks import SUITES
 
 MAX_PICTURES = 120
 """Largest number of runs with pictures; of more runs, the first seed of each group is shown."""
@@ -113,9 +112,8 @@ def report_of(results: ResultFolder) -> Report:
     counts = [len({run["seed"] for run in runs}) for runs in driven] or [0]
     seeds = min(counts), max(counts)
     failed = [verdict for verdict in results.collisions if not verdict.passed]
-    is_paper = str(manifest.get("suite")) in SUITES
     skipped = ReportTable("skipped", "Not read", SKIPPED, ("folder", "reason"), results.skipped, 2)
-    paper = (*paper_tables(entries), findings_table(entries)) if is_paper else ()
+    paper = suite_tables(suite := manifest.get("suite"), entries)
     command = manifest.get("command")
     failures = failures_table(entries), checks_failed_table(failed, results.broken), skipped
     sections = (
@@ -141,9 +139,7 @@ def report_of(results: ResultFolder) -> Report:
         ),
     )
     return Report(
-        title=f"The paper's experiment, repeated ({manifest['suite']})"
-        if is_paper
-        else f"Validation runs in {results.root.name}",
+        title=f"The paper's experiment: {suite}" if paper else f"Validation runs in {results.root.name}",
         subtitle=_subtitle(results, entries, seeds),
         runs=runs,
         sections=sections,

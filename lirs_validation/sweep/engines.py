@@ -289,9 +289,7 @@ class RayCluster:
         """
         with ray_session(self.address, self.jobs) as ray:
             before = _machines(ray)
-            for outcome in self._outcomes(ray, tasks, out):
-                progress_of(outcome.task)("evaluate", 1.0)
-                yield outcome
+            yield from self._outcomes(ray, tasks, out)
             if lost := before - _machines(ray):
                 warnings.warn(
                     f"{len(lost)} of {len(before)} machines of the cluster were lost; others did their runs",

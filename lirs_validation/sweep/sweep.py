@@ -33,14 +33,7 @@ MANIFEST = "sweep.json"
 MANIFEST_SCHEMA = 1
 ROUNDS = 2
 """Times that a task is run whose results cannot be written."""
-COLLISIONS = "collisions"
-"""Mapper of a collision validation's config."""
-TYPICAL_COST: dict[tuple[str, ...], tuple[float, float]] = {
-    ("hfield", "builtin"): (2.0, 16.0),
-    ("mesh", "mujoco"): (6.0, 4.0),
-    ("hfield", "mujoco"): (2.0, 0.025),
-    (COLLISIONS,): (0.0, 10.0),
-}
+TYPICAL_COST = {"hfield builtin": (2.0, 16.0), "mesh mujoco": (6.0, 4.0), "hfield mujoco": (2.0, 0.025)}
 """Wall seconds beside the drive, and real-time factor, of an idle machine; a first guess of the time left."""
 ProgressOf = Callable[[str], Progress]
 """Function that returns the progress callback of a task by name."""
@@ -205,6 +198,7 @@ class Sweep:
         outcomes: Outcome of each finished task, by name.
         kept: Number of tasks with a result from before.
         unwritten: Reasons of the tasks whose results could not be written, by name.
+        time_left: Estimate of the time for the pending tasks.
     """
 
     def __init__(
@@ -221,7 +215,7 @@ class Sweep:
             for task in tasks:
                 task.check()
         self.tasks = list({task.name: task for task in tasks}.values())
-        self.out = out
+        self.out, self.suite = out, suite
         cells = [task.describe() for task in self.tasks]
         entry = {"schema": MANIFEST_SCHEMA, "command": command, "suite": suite, "cells": cells}
         self._manifest = entry | {"versions": versions(), "machine": machine()} if listed else None
@@ -233,6 +227,7 @@ class Sweep:
                 self.outcomes[task.name] = outcome
         self.kept = len(self.outcomes)
         self.unwritten: dict[str, str] = {}
+        self.time_left = TimeLeft(self.pending)
 
     @property
     def pending(self) -> list[SweepTask]:
@@ -333,11 +328,10 @@ def _typical_cost(config: RunConfig | None) -> tuple[list[tuple[str, ...]], floa
     """Return the kinds of a task, the narrowest first, and its seconds on an idle machine, if known."""
     if config is None:
         return [()], None
-    features = config.terrain, config.rays, config.robot, config.mapper, config.source
+    view = f"{config.terrain} {config.rays}"
+    features = view, config.robot, config.mapper, config.source
     kinds = [features[:count] for count in range(len(features), -1, -1)]
-    beside, rtf = TYPICAL_COST.get(features[:2], (0.0, 0.0))
-    if not rtf or config.mapper not in (COLLISIONS, *MAPPERS):
+    if view not in TYPICAL_COST or config.mapper not in (*MAPPERS, "collisions"):
         return kinds, None
-    if config.mapper == COLLISIONS:
-        beside, rtf = TYPICAL_COST[(COLLISIONS,)]
+    beside, rtf = TYPICAL_COST[view]
     return kinds, beside + min(config.seconds / rtf, config.wall_limit or math.inf)

@@ -28,7 +28,7 @@ from lirs_validation.record.run_record import (
     versions,
     world_files,
 )
-from lirs_validation.sweep.sweep import COLLISIONS, Executor, Outcome, Serial, SweepTask
+from lirs_validation.sweep.sweep import Executor, Outcome, Serial, SweepTask
 from lirs_wct import BuildOptions, unknown_name
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import SourceError, reason_of
@@ -184,8 +184,8 @@ class CollisionTask(SweepTask):
 
     @cached_property
     def world_config(self) -> RunConfig:
-        """Config that gives the world and the name; its mapper is `COLLISIONS`."""
-        return RunConfig(mapper=COLLISIONS, **asdict(self))
+        """Config that gives the world and the name; its mapper is called `collisions`."""
+        return RunConfig(mapper="collisions", **asdict(self))
 
     def check(self) -> None:
         """Check that source and robot exist."""
@@ -262,11 +262,7 @@ def cross(
 
 
 HEIGHTMAP, SOLID, OURS = "heightmap-based", "solid-based", "ours"
-VIEWS: dict[str, tuple[ContactGeometry, str]] = {
-    HEIGHTMAP: ("hfield", "mujoco"),
-    SOLID: ("mesh", "mujoco"),
-    OURS: ("hfield", "builtin"),
-}
+VIEWS = {HEIGHTMAP: ("hfield", "mujoco"), SOLID: ("mesh", "mujoco"), OURS: ("hfield", "builtin")}
 """Contact geometry and ray caster of each terrain representation. The first two are the paper's."""
 WORLDS = {"simple": "II", "medium": "III", "advanced": "IV"}
 """Worlds, and the paper's tables that hold their RTF."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -203,6 +204,8 @@ def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
     folders = [sweep.out / found.name for found in sweep.tasks if found.name in sweep.outcomes]
     for folder in folders if len(folders) <= MAX_LISTED else [sweep.out]:
         say(folder)
+    if len(folders) > 1:
+        note(f"tables and pictures: lirs-wct report {shlex.quote(str(sweep.out))}")
     entries = [read_record(folder) for folder in folders if (folder / "record.json").exists()]
     runs = [entry for entry in entries if "mapper" in entry["config"]]
     rates = {f"{run['scans']['imu_rate']:g} Hz" for run in runs if run.get("scans", {}).get("imu_rate")}

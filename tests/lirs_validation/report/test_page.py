@@ -229,6 +229,7 @@ def test_a_suites_page_tells_of_the_paper(tmp_path: Path) -> None:
     for words in ("Table II: simple map", "Table IV: advanced map", "average RTF by robot", "not printed"):
         assert words in html
     assert "lirs-wct validate --suite paper" in html
+    assert html.index("Table II: simple map") < html.index('id="verdicts-section"')
 
 
 def with_files(folder: Path, seed: int) -> RunFolder:

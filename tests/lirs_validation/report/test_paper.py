@@ -3,7 +3,8 @@
 from typing import Any
 
 from lirs_validation.record.metric_catalog import significant
-from lirs_validation.report.paper import VIEWS, findings_table, paper_tables
+from lirs_validation.report.paper import findings_table, paper_tables
+from lirs_validation.sweep.tasks import VIEWS
 from tests.lirs_validation.records import entry
 
 
@@ -42,6 +43,16 @@ def test_findings_need_runs() -> None:
     assert answers(some) == ["holds", "cannot be said", "holds", "holds", "holds"]
     shared = [entry(r["world"]["name"], rtf=0.05, concurrent=True) for r in some]
     assert answers(shared) == ["cannot be said"] * 5
+
+
+def test_an_empty_cell_says_why() -> None:
+    runs = [
+        entry("medium", concurrent=True, mapper="gmapping"),
+        entry("medium", status="lost", mapper="hector"),
+    ]
+    table = paper_tables(runs)[1]
+    assert [row[5] for row in table.texts()] == ["not given", "failed: lost", "not run"]
+    assert "1 concurrent run has no RTF" in table.caption
 
 
 def test_the_papers_tables_stand_beside_ours() -> None:
