@@ -52,7 +52,7 @@ def test_an_empty_cell_says_why() -> None:
     ]
     table = paper_tables(runs)[1]
     assert [row[5] for row in table.texts()] == ["not given", "failed: lost", "not run"]
-    assert "1 concurrent run has no RTF" in table.caption
+    assert "RTF of 1 run not given" in table.caption
 
 
 def test_the_papers_tables_stand_beside_ours() -> None:
