@@ -27,7 +27,6 @@ from lirs_validation.record.run_record import (
 from lirs_wct.errors import MapperError, OutputError, SourceError, WctError, reason_of
 from lirs_wct.files import atomic_folder, check_writable, remove_leftovers, write_json
 from lirs_wct.progress import Progress, no_progress
-from slam_baselines.mapper import MAPPERS
 
 MANIFEST = "sweep.json"
 MANIFEST_SCHEMA = 1
@@ -331,7 +330,7 @@ def _typical_cost(config: RunConfig | None) -> tuple[list[tuple[str, ...]], floa
     view = f"{config.terrain} {config.rays}"
     features = view, config.robot, config.mapper, config.source
     kinds = [features[:count] for count in range(len(features), -1, -1)]
-    if view not in TYPICAL_COST or config.mapper not in (*MAPPERS, "collisions"):
-        return kinds, None
+    if view not in TYPICAL_COST or ":" in config.mapper or config.lidar is not None:
+        return kinds, None  # a mapper of your own, or one of clouds
     beside, rtf = TYPICAL_COST[view]
     return kinds, beside + min(config.seconds / rtf, config.wall_limit or math.inf)

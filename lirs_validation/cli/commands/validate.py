@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from click.exceptions import Exit
 
@@ -116,15 +116,13 @@ def record(
     Examples:
     lirs-wct record simple --seconds 60 -o run
     """
-    from lirs_validation.sweep.tasks import RunTask
-
     bag = {"bag": options.storage, "sensors_only": options.sensors_only, "stand": STAND}
     tasks, output = read_tasks(options, bag | run, build), options.output
-    if len(tasks) > 1 or not isinstance(tasks[0], RunTask):
+    if len(tasks) > 1:
         _run(tasks, engine, output, options.suite)
         return
     folder = output if output.name else output.resolve()
-    task = replace(tasks[0], folder=folder.name)
+    task = replace(cast("RunTask", tasks[0]), folder=folder.name)
     _check_free(folder, task)
     _run((task,), engine, folder.parent, options.suite, listed=False)
 
