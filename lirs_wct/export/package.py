@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection
+from os.path import normpath
 from pathlib import Path
 from typing import Literal
 
@@ -38,9 +39,6 @@ GAZEBO_FOVY = 2 * math.atan(math.tan(math.radians(30)) * 3 / 4)
 MAX_MESH_NODES = 1_000_000
 """Nodes of a surface above which an STL of the full grid is streamed without a mesh in memory."""
 _REFERENCE = re.compile(rb'file="([^"]+)"|<(?:uri|albedo_map|diffuse|normal|init_from)>([^<]+)<')
-"""Name of a file in MJCF, and in SDF and COLLADA."""
-_HEAD_BYTES = 65_536
-"""Bytes of a COLLADA file that hold the names of its textures."""
 
 GazeboTerrain = Literal["solid", "heightmap"]
 
@@ -94,15 +92,17 @@ def write_package(
 
 def loaded_files(model: Path) -> tuple[str, ...]:
     """Return the files that Gazebo or MuJoCo loads with a model of a package, relative to its folder."""
-    folder, files = model.resolve().parent, [model.resolve()]
-    for path in files:  # grows: a COLLADA mesh names its textures
-        if path.suffix not in (".sdf", ".xml", ".dae"):
+    folder, names = model.parent, [model.name]
+    for name in names:  # grows: a COLLADA mesh names its textures
+        if not name.endswith((".sdf", ".xml", ".dae")):
             continue
-        with path.open("rb") as file:
-            text = file.read(_HEAD_BYTES if path.suffix == ".dae" else -1)
-        named = ((path.parent / (a or b).decode()).resolve() for a, b in _REFERENCE.findall(text))
-        files += [found for found in dict.fromkeys(named) if found.is_file() and found not in files]
-    return tuple(path.relative_to(folder).as_posix() for path in files[1:])
+        with (folder / name).open("rb") as file:  # a COLLADA file begins with its textures
+            text = file.read(65_536 if name.endswith(".dae") else -1)
+        named = (normpath(Path(name).parent / (a or b).decode()) for a, b in _REFERENCE.findall(text))
+        names += [
+            found for found in dict.fromkeys(named) if (folder / found).is_file() and found not in names
+        ]
+    return tuple(names[1:])
 
 
 def _check(world: World, folder: Path, formats: Collection[str], terrain: str, overwrite: bool) -> None:

@@ -16,7 +16,7 @@ from lirs_validation.cli.command import OneSource, common, map_logs
 from lirs_validation.cli.exit_codes import ExitCode
 from lirs_validation.cli.progress import err, out, progress_bar, say
 from lirs_validation.config import LogOptions, MapConfig
-from lirs_wct.ground import DEFAULT_SHARE, RotationOptions
+from lirs_wct.ground import RotationOptions
 from lirs_wct.option import Options, argument, option
 from lirs_wct.sources.source import BuildOptions, is_log
 
@@ -176,13 +176,9 @@ def _say_what_was_built(world: lirs_wct.World, folder: Path, to: tuple[str, ...]
     say(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
     budget = world.file_options.max_error
     if budget is not None and world.file_options != world.export_options and MESHES & {*to}:
-        relief = world.surface.relief
-        share = (
-            f"{DEFAULT_SHARE:.1%} of the relief" if budget <= DEFAULT_SHARE * relief else "1e-6 of the side"
-        )
         say(
             f"mesh files: {len(world.file_mesh.faces)} triangles within {1000 * budget:.3g} mm of the "
-            f"height field everywhere, {share}; --max-error 0 keeps all"
+            "height field everywhere; --max-error 0 keeps all"
         )
     if not world.spawn_poses:
         say("start poses: none, no robot on wheels fits")
@@ -192,16 +188,13 @@ def _say_how_to_open(folder: Path, to: tuple[str, ...]) -> None:
     """Print the commands that open a built world in Gazebo and MuJoCo, and the files that these load."""
     from lirs_wct.export.package import loaded_files
 
-    found = shutil.which("python")
-    is_own = found is not None and Path(found).parent == Path(sys.executable).parent
-    viewer = "python" if is_own else sys.executable, "-m", "mujoco.viewer"
-    sdf, mjcf = (folder / f"{folder.name}{suffix}" for suffix in (".sdf", ".xml"))
-    for name, program, model, words in (
-        ("sdf", "Gazebo", sdf, ("gz", "sim", f"{sdf}")),
-        ("mjcf", "MuJoCo", mjcf, (*viewer, f"--mjcf={mjcf}")),
-    ):
-        if name in to:
-            say(f"open in {program}, with {', '.join(loaded_files(model))}:\n    {shlex.join(words)}")
+    is_own = Path(shutil.which("python") or "").parent == Path(sys.executable).parent
+    viewer = f"{'python' if is_own else shlex.quote(sys.executable)} -m mujoco.viewer --mjcf="
+    openers = {"sdf": ("Gazebo", ".sdf", "gz sim "), "mjcf": ("MuJoCo", ".xml", viewer)}
+    for program, suffix, command in (openers[name] for name in openers if name in to):
+        model = folder / f"{folder.name}{suffix}"
+        files = ", ".join(loaded_files(model))
+        say(f"open in {program}, with {files}:\n    {command}{shlex.quote(str(model))}")
 
 
 def _figures_table(record: MapRecord) -> Table:
