@@ -345,11 +345,14 @@ def _make(name: str, seed: int | None, values: dict[str, Any]) -> Any:
     for key, value in values.items():
         if key not in legal:
             raise unknown_name(f"parameter of {name}", key, legal)
+        default = getattr(defaults, key)
         for kind, number, words in NUMBERS:
-            if isinstance(getattr(defaults, key), kind):
+            if isinstance(default, kind):
                 if not isinstance(value, number) or (isinstance(value, bool) and kind is not bool):
                     raise ConfigError(f"{key} of {name} must be {words}, got {value!r}")
                 break
+        if isinstance(value, float) and not math.isfinite(value) and value != default:
+            raise ConfigError(f"{key} of {name} must be a finite number, got {value}")
     try:
         config = replace(defaults, **values)
         return getattr(importlib.import_module(method.module), method.factory)(config)

@@ -117,8 +117,14 @@ def score(
             raise SourceError(f"{trajectory}: {error}") from error
         estimate = interpolate_poses(replace(read, stamps=read.stamps + offset), truth.stamps)
         _check_stamps(trajectory, estimate, truth)
-        if frame in ("auto", "align") and (turned := turn_upright(estimate, truth)):
-            estimate, axes, frame = *turned, "align"
+        if turned := turn_upright(estimate, truth):
+            estimate, axes = turned
+            if frame not in ("auto", "align"):
+                raise SourceError(
+                    f"{trajectory}: its axes are {axes}, those of the {frame} frame x ahead, z up: "
+                    "--frame align turns it and moves it to the best fit"
+                )
+            frame = "align"
             warnings.warn(f"{trajectory}: its axes are {axes}: moved to the best fit", stacklevel=2)
         frame = frame_of(trajectory, estimate, truth, frame)
     if frame == "auto":
@@ -261,7 +267,7 @@ def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:
     """Return the seconds that lead from the estimate's clock to that of the truth.
 
     Speed and turn rate do not depend on the frame. Their correlation finds the offset to a step, and the
-    least squares of their differences refine it.
+    least squares of their differences refine it. Errors of a mapper shift it by up to a step: less is none.
     """
     span = float(np.ptp(estimate.stamps))
     if span > MAX_SPAN:
@@ -293,7 +299,8 @@ def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:
     fine = scipy.optimize.minimize_scalar(
         lambda x: _difference(truth, near, x), bounds=(-2 * STEP, 2 * STEP), method="bounded"
     )
-    return coarse + float(fine.x)
+    offset = coarse + float(fine.x)
+    return offset if abs(offset) >= STEP else 0.0
 
 
 def _span(trajectory: Trajectory) -> tuple[float, float]:

@@ -82,6 +82,12 @@ def test_a_text_that_is_no_list_is_refused(text: str) -> None:
         read_parameters(text)
 
 
+def test_infinity_stays_legal_where_it_is_the_default() -> None:
+    assert make_mapper("hector", laser_max_dist=math.inf)
+    with pytest.raises(ConfigError, match="finite"):
+        make_mapper("hector", laser_max_dist=-math.inf)
+
+
 @pytest.mark.parametrize(
     ("mapper", "options", "message"),
     [
@@ -90,6 +96,8 @@ def test_a_text_that_is_no_list_is_refused(text: str) -> None:
         ("hector", {"match_iterations": (3,)}, "match_iterations are needed for 3 levels"),
         ("gmapping", {"particle": 3}, "did you mean particles"),
         ("gmapping", {"particles": 3.5}, "particles of gmapping must be a whole number, got 3.5"),
+        ("hector", {"map_resolution": math.inf}, "map_resolution of hector must be a finite number, got inf"),
+        ("gmapping", {"base_height": math.nan}, "base_height of gmapping must be a finite number, got nan"),
         ("gmapping", {"srr": True}, "srr of gmapping must be a number, got True"),
         ("gmapping", {"tracking.lost_score": 1}, "unknown parameter of gmapping 'tracking.lost_score'"),
     ],

@@ -255,6 +255,16 @@ def test_the_axes_of_a_camera_are_named_and_turned(
         assert found.trajectory[name] == pytest.approx(aligned.trajectory[name], abs=5e-3), name
 
 
+def test_the_axes_of_a_camera_do_not_fit_a_frame_of_the_robot(
+    run: RunFolder, whole: Trajectory, tmp_path: Path
+) -> None:
+    np.savetxt(tmp_path / "camera.tum", rows(whole, CAMERA))
+    for frame in ("map", "world"):
+        words = rf"camera\.tum: its axes are z ahead, -y up, those of the {frame} frame x ahead, z up"
+        with pytest.raises(SourceError, match=words):
+            score(run, trajectory=tmp_path / "camera.tum", frame=frame)
+
+
 @pytest.mark.parametrize(("step", "covered"), [(5, True), (19, True), (21, False)])
 def test_keyframes_up_to_two_seconds_apart_are_interpolated(
     step: int, covered: bool, run: RunFolder, whole: Trajectory, tmp_path: Path
