@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection
+import shlex
+import shutil
+import sys
+from collections.abc import Collection, Iterator
 from os.path import normpath
 from pathlib import Path
 from typing import Literal
@@ -90,7 +93,18 @@ def write_package(
     return folder
 
 
-def loaded_files(model: Path) -> tuple[str, ...]:
+def opening_lines(folder: Path, formats: Collection[str]) -> Iterator[str]:
+    """Yield the files that Gazebo and MuJoCo load with a package, and the command for each program."""
+    is_own = Path(shutil.which("python") or "").parent == Path(sys.executable).parent
+    viewer = f"{'python' if is_own else shlex.quote(sys.executable)} -m mujoco.viewer --mjcf="
+    openers = {"sdf": ("Gazebo", ".sdf", "gz sim "), "mjcf": ("MuJoCo", ".xml", viewer)}
+    for program, suffix, command in (openers[name] for name in openers if name in formats):
+        model = folder / f"{folder.name}{suffix}"
+        yield f"open in {program}, with {', '.join(_loaded_files(model))}:"
+        yield f"    {command}{shlex.quote(str(model))}"
+
+
+def _loaded_files(model: Path) -> tuple[str, ...]:
     """Return the files that Gazebo or MuJoCo loads with a model of a package, relative to its folder."""
     folder, names = model.parent, [model.name]
     for name in names:  # grows: a COLLADA mesh names its textures

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import shutil
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -77,7 +74,7 @@ def build(options: BuildCommand, world_options: BuildOptions) -> None:
     lirs-wct build examples/data/dunes.png --size 30 --height 2.5 -o worlds/
     lirs-wct build examples/data/office.yaml --wall-height 2 --to mjcf -o worlds/
     """
-    from lirs_wct.export.package import write_package
+    from lirs_wct.export.package import opening_lines, write_package
 
     (source,), world_options = map_logs([options.source], world_options, options.output)
     with progress_bar(source) as progress:
@@ -92,7 +89,8 @@ def build(options: BuildCommand, world_options: BuildOptions) -> None:
             progress=progress,
         )
     _say_what_was_built(world, folder, options.to)
-    _say_how_to_open(folder, options.to)
+    for line in opening_lines(folder, options.to):
+        say(line)
 
 
 @common("robot", *_SCALE, "output", "scan_topic", "odom_topic", "range_max", "time")
@@ -182,19 +180,6 @@ def _say_what_was_built(world: lirs_wct.World, folder: Path, to: tuple[str, ...]
         )
     if not world.spawn_poses:
         say("start poses: none, no robot on wheels fits")
-
-
-def _say_how_to_open(folder: Path, to: tuple[str, ...]) -> None:
-    """Print the commands that open a built world in Gazebo and MuJoCo, and the files that these load."""
-    from lirs_wct.export.package import loaded_files
-
-    is_own = Path(shutil.which("python") or "").parent == Path(sys.executable).parent
-    viewer = f"{'python' if is_own else shlex.quote(sys.executable)} -m mujoco.viewer --mjcf="
-    openers = {"sdf": ("Gazebo", ".sdf", "gz sim "), "mjcf": ("MuJoCo", ".xml", viewer)}
-    for program, suffix, command in (openers[name] for name in openers if name in to):
-        model = folder / f"{folder.name}{suffix}"
-        files = ", ".join(loaded_files(model))
-        say(f"open in {program}, with {files}:\n    {command}{shlex.quote(str(model))}")
 
 
 def _figures_table(record: MapRecord) -> Table:
