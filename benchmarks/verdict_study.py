@@ -17,7 +17,7 @@ import argparse
 import csv
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,10 +30,9 @@ from benchmarks.steps import DATA, arguments, print_rows
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
 from lirs_envs.generators.terrain import generate
-from lirs_envs.robots.robot import make_robot
 from lirs_extensions.decide import forecast
 from lirs_extensions.decide.decide import P0, P1, SequentialTest
-from lirs_extensions.decide.forecast import FEATURES, LogisticModel, SiteFeatures, site_features
+from lirs_extensions.decide.forecast import FEATURES, DriveSite, LogisticModel, SiteFeatures
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
@@ -186,14 +185,14 @@ def find_features(options: argparse.Namespace) -> None:
             try:
                 world = site.scenario(config).world
                 start = time.process_time()
-                found = site_features(world, make_robot(site.robot), config)
+                found = DriveSite(world, config).features()
             except WctError as error:
                 print(f"left out: {site.name}: {error}", flush=True)
                 break
             seconds = time.process_time() - start
             print(f"{site.name} {config.lidar or PLANAR}: {seconds:.1f} s", flush=True)
             key = site.family, site.name, config.lidar or PLANAR
-            options.tables.add_sites({key: list(astuple(found))})
+            options.tables.add_sites({key: [getattr(found, name) for name in FEATURES]})
 
 
 def chosen_sites(options: argparse.Namespace) -> list[Site]:

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import re
+import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import common, map_logs, sources_argument
 from lirs_validation.cli.exit_codes import ExitCode
-from lirs_validation.cli.progress import command_line, note, out, say
+from lirs_validation.cli.progress import command_line, out, say
 from lirs_validation.config import EngineOptions, RunConfig, World
 from lirs_wct import ConfigError
 from lirs_wct.option import Options, option
-
-if TYPE_CHECKING:
-    from lirs_extensions.decide.decide import Trial
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -37,7 +35,7 @@ class VerdictOptions(Options):
     sources: tuple[str, ...] = sources_argument()
     budget: float = option(
         UNITS["min"] * 10,
-        "Wall time after which no drive begins: 90s, 10min, 2h; 0s = forecast alone.",
+        "Wall time of the command: 90s, 10min, 2h; 0s = forecast alone.",
         metavar="TIME",
         unit="s",
         reader=read_duration,
@@ -60,34 +58,28 @@ def verdict(
     Examples:
     lirs-wct verdict medium --robot jackal --mapper hector,gmapping --budget 10min -o verdict/
     """
-    from lirs_extensions.decide.decide import decide
-    from lirs_extensions.decide.page import changes_table, methods_table, write_decision
+    begun = time.monotonic()
+    from lirs_extensions.decide.decide import Budget, decide
+    from lirs_extensions.decide.page import conclusion, methods_table, write_decision
+    from lirs_validation.experiment.scenario import ScenarioCache
     from lirs_validation.sweep.tasks import cross
 
     if len(run.get("seed", ())) > 1:
         raise ConfigError(f"--seed is the first seed of the drives: one number, got {len(run['seed'])}")
     sources, build = map_logs(options.sources, build, options.output)
     configs = cross(sources, build=build, **run)
-    answers = decide(configs, options.output, engine, budget=options.budget, report=_print_state)
-    page = write_decision(options.output, answers, command_line())
+    budget, scenarios = Budget(options.budget, begun), ScenarioCache()
+    answers = decide(configs, options.output, engine, budget, scenarios=scenarios, again=command_with_budget)
+    page = write_decision(options.output, answers, command_line(), scenarios)
     out.print(methods_table(answers))
-    if any(answer.changed for answer in answers):
-        out.print(changes_table(answers))
     say(page)
     for answer in answers:
-        say(f"verdict: {answer.sentence}")
+        say(f"verdict: {conclusion(answer)}")
     if options.gate and any(answer.trial.decision != "works" for answer in answers):
         raise Exit(ExitCode.GATE_FAILED)
 
 
-def _print_state(trial: Trial) -> None:
-    """Print the forecast of a trial, or its last verdict and the state."""
-    if trial.drives:
-        drive, test = trial.drives[-1], trial.test
-        decided = "" if trial.decision == "undecided" else f": {trial.decision}"
-        text = f"{drive.folder}: {drive.kind}; {test.successes} of {test.total} worked{decided}"
-    elif trial.forecast is None:
-        text = f"forecast: none for {trial.name} (only for methods and sensors of the study)"
-    else:
-        text = f"forecast: {trial.name} works in {100 * trial.forecast:.0f} % of the drives"
-    note(text)
+def command_with_budget(budget: str | None) -> str:
+    """Return the command of this process with another budget; None = the default."""
+    command = re.sub(r" --budget[= ]('[^']*'|\S+)", "", command_line())
+    return command if budget is None else f"{command} --budget {budget}"

@@ -1,25 +1,27 @@
-"""Forecast: calibrated probability that a drive of a method works, before any drive."""
+"""Forecast: probability that a drive works, before any drive, and changes that promise more."""
 
 from __future__ import annotations
 
 import json
 import math
 from dataclasses import astuple, dataclass, fields, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
+from lirs_envs.lidar.presets import LIDARS, RING_LIDARS, LidarPreset, make_lidar_preset
 from lirs_envs.lidar.ray_casting import Caster, MeshCaster, RayCaster
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, make_robot
+from lirs_validation.analysis.compare import ORIGINAL
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import plan_tour
 from lirs_validation.metrics.map import count_hits
-from lirs_validation.metrics.world_geometry import cast_beams, standing_on
+from lirs_validation.metrics.world_geometry import ENOUGH_WALLS, cast_beams, standing_on
 from lirs_wct import FloatArray, Pose2, World
-from slam_baselines.mapper import ALL_CLOUD_MAPPERS
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
 
 TOURS = 3
 """Tours along which scans are cast, each from another start."""
@@ -35,8 +37,13 @@ MIN_SHARE = 0.01
 """Share of a scan's beams on walls below which it is taken for this."""
 MIN_INFORMATION = 1e-4
 """Information per beam below which a scan tells nothing."""
+NO_INFORMATION = math.log10(MIN_INFORMATION)
 REVISIT_RADIUS, REVISIT_PATH = 1.0, 10.0
 """A tour revisits a place if it comes within this radius of it after this path, meters."""
+SHORT_DRIVE, LONGER = 60.0, 3.0
+"""Simulated seconds below which a longer drive is tried, and its factor."""
+MAX_CLOUD_METHODS = 2
+"""Largest number of methods that read clouds and are tried."""
 MODELS = "forecast.json"
 """File of the models in this package; `python benchmarks/verdict_study.py fit` writes it."""
 STUDIED = ("attitude", "driver", "odometry_noise", "actors", "scan_time")
@@ -57,6 +64,7 @@ class SiteFeatures:
             (see `scan_information`).
         yaw_information: 10th percentile of the logarithm of the information in yaw.
         loops: Share of the path that revisits places.
+        wall_scans: Share of the scans with a hit on a wall; the models do not use it.
     """
 
     walls: float
@@ -65,34 +73,56 @@ class SiteFeatures:
     position_information: float
     yaw_information: float
     loops: float
+    wall_scans: float = math.nan
 
     @property
     def vector(self) -> FloatArray:
         """(6,) features in the order of FEATURES; the first two as logarithms."""
         shares = np.maximum((self.walls, self.walls_low), MIN_SHARE)
-        return np.array((*np.log10(shares), *astuple(self)[2:]))
+        return np.array((*np.log10(shares), *astuple(self)[2:-1]))
 
 
-FEATURES = tuple(entry.name for entry in fields(SiteFeatures))
+FEATURES = tuple(entry.name for entry in fields(SiteFeatures))[:-1]
+"""Names of the models' features."""
 
 
-def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures:
-    """Cast scans along tours of a site, as a config drives it; return features."""
-    preset = make_lidar_preset(config.lidar or robot.lidar)
-    preset = preset if config.mapper in ALL_CLOUD_MAPPERS else preset.planar
-    caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
-    tours = [plan_tour(world, robot, replace(config, seed=config.seed + k)).path for k in range(TOURS)]
-    scans = [_look_around(world, robot, preset, caster, pose) for tour in tours for pose in _poses(tour)]
-    walls, ground = (count / preset.beams for count in count_hits(world, [hits for hits, _ in scans]))
-    position, yaw = np.array([information for _, information in scans]).T
-    return SiteFeatures(
-        walls=float(np.median(walls)),
-        walls_low=float(np.percentile(walls, 10)),
-        ground=float(np.median(ground)),
-        position_information=float(np.percentile(position, 10)),
-        yaw_information=float(np.percentile(yaw, 10)),
-        loops=float(np.mean([_loop_share(tour) for tour in tours])),
-    )
+class DriveSite:
+    """Place that a config drives: its world, and features along tours."""
+
+    def __init__(self, world: World, config: RunConfig) -> None:
+        self.world, self.config, self._robot = world, config, make_robot(config.robot)
+        self._features: dict[LidarPreset, SiteFeatures] = {}
+
+    @cached_property
+    def _tours(self) -> list[FloatArray]:
+        seeds = range(self.config.seed, self.config.seed + TOURS)
+        return [plan_tour(self.world, self._robot, replace(self.config, seed=seed)).path for seed in seeds]
+
+    def features(self, config: RunConfig | None = None) -> SiteFeatures:
+        """Cast scans of a config's lidar along the tours; return features."""
+        config = config or self.config
+        preset = make_lidar_preset(config.lidar or self._robot.lidar)
+        preset = preset if config.mapper in ALL_CLOUD_MAPPERS else preset.planar
+        if preset not in self._features:
+            self._features[preset] = self._cast(preset)
+        return self._features[preset]
+
+    def _cast(self, preset: LidarPreset) -> SiteFeatures:
+        world = self.world
+        caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
+        poses = [pose for tour in self._tours for pose in _poses(tour)]
+        scans = [_look_around(world, self._robot, preset, caster, pose) for pose in poses]
+        walls, ground = (count / preset.beams for count in count_hits(world, [hits for hits, _ in scans]))
+        position, yaw = np.array([information for _, information in scans]).T
+        return SiteFeatures(
+            walls=float(np.median(walls)),
+            walls_low=float(np.percentile(walls, 10)),
+            ground=float(np.median(ground)),
+            position_information=float(np.percentile(position, 10)),
+            yaw_information=float(np.percentile(yaw, 10)),
+            loops=float(np.mean([_loop_share(tour) for tour in self._tours])),
+            wall_scans=float(np.mean(walls > 0)),
+        )
 
 
 def _poses(path: FloatArray) -> list[Pose2]:
@@ -224,8 +254,8 @@ def _models() -> dict[str, LogisticModel]:
     }
 
 
-def forecast(world: World, robot: Robot, config: RunConfig) -> float | None:
-    """Return the probability that a drive works; None for what was not studied.
+def forecast(features: SiteFeatures, config: RunConfig) -> float | None:
+    """Return the probability that a drive works at a site; None for what was not studied.
 
     The study drove tours of 60 s with the default sensors; docs/measured.md has its calibration.
     """
@@ -233,5 +263,58 @@ def forecast(world: World, robot: Robot, config: RunConfig) -> float | None:
     studied = all(getattr(config, name) == getattr(default, name) for name in STUDIED)
     if config.mapper not in _models() or not studied:
         return None
-    features = site_features(world, robot, config).vector
-    return float(_models()[config.mapper].probability(features[None])[0])
+    return float(_models()[config.mapper].probability(features.vector[None])[0])
+
+
+def changes(site: DriveSite, *, short: bool) -> dict[str, RunConfig]:
+    """Return labels and configs of changes that promise more, the most promising first.
+
+    After drives that are too `short`, only longer ones do.
+    """
+    config, features = site.config, site.features()
+    longer = replace(config, seconds=LONGER * config.seconds)
+    drive = {f"{longer.seconds:g} s": longer} if short or config.seconds < SHORT_DRIVE else {}
+    if short:
+        return drive
+    lidar = {name: other for name, other in _longer_lidar(config).items() if _sees_more(site, other)}
+    clouds = {name: other for name, other in _clouds(config).items() if _sees_more(site, other)}
+    if config.mapper not in MAPPERS or features.walls >= ENOUGH_WALLS:
+        return {**_attitude(config), **drive, **lidar, **clouds}
+    return {**clouds, **lidar, **(_attitude(config) if features.wall_scans else {})}
+
+
+def _sees_more(site: DriveSite, config: RunConfig) -> bool:
+    """Whether a planar lidar meets more walls, or clouds tell the position."""
+    if config.mapper in ALL_CLOUD_MAPPERS:
+        return site.features(config).position_information > NO_INFORMATION
+    return site.features(config).walls > site.features().walls
+
+
+def _attitude(config: RunConfig) -> dict[str, RunConfig]:
+    """Return the run of a planar method with the IMU's attitude."""
+    aware = config.mapper.removesuffix(ORIGINAL)
+    if aware != config.mapper and aware in MAPPERS:
+        return {f"terrain-aware {aware}": replace(config, mapper=aware, attitude="imu", parameters="")}
+    blind = config.mapper in MAPPERS and config.attitude == "none"
+    return {"with IMU attitude": replace(config, attitude="imu")} if blind else {}
+
+
+def _longer_lidar(config: RunConfig) -> dict[str, RunConfig]:
+    """Return the run with the next longer lidar, planar or with rings as its own."""
+    own = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
+    longer = [p for p in LIDARS.values() if p.range_max > own.range_max and (p.rings > 1) == (own.rings > 1)]
+    if not longer:
+        return {}
+    chosen = min(longer, key=attrgetter("range_max"))
+    return {f"lidar {chosen.name} ({chosen.range_max:g} m)": replace(config, lidar=chosen.name)}
+
+
+def _clouds(config: RunConfig) -> dict[str, RunConfig]:
+    """Return the run with a lidar with rings and installed methods that read its clouds."""
+    own = config.lidar or make_robot(config.robot).lidar
+    lidar = own if own in RING_LIDARS else RING_LIDARS[0]
+    names = [name for name, method in ALL_CLOUD_MAPPERS.items() if method.installed and name != config.mapper]
+    return {
+        f"{name} with lidar {lidar}": replace(config, mapper=name, parameters="", lidar=lidar, attitude="imu")
+        for name in names[:MAX_CLOUD_METHODS]
+    }

@@ -1,22 +1,24 @@
-"""Tables, page and JSON of a decision."""
+"""Sentences, tables, page and JSON of a decision."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from lirs_extensions.decide.decide import Answer, Trial
+from lirs_extensions.decide.decide import CONFIDENCE, Answer, Change, SequentialTest, Trial
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.trajectory import associated
 from lirs_validation.record.metric_catalog import NOTHING, Entry
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import VerdictClass
 from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
+from lirs_validation.report.run_tables import command_of
 from lirs_validation.report.table import ReportTable
 from lirs_wct import FloatArray, SourceError, Trajectory
 from lirs_wct.drawing.canvas import (
@@ -32,6 +34,8 @@ from lirs_wct.drawing.canvas import (
 from lirs_wct.files import atomic_write, write_json
 from lirs_wct.formats.drive_files import read_tum
 
+PROMISED_SHARE = 0.8
+"""Share of drives that a sentence promises if the whole interval lies above it."""
 CAPTION = (
     "Share of the evaluated drives that worked, with its exact 95 % interval (Clopper and Pearson). A "
     "sequential test decides: it accepts a share of 90 % and rejects one of 65 %, with at most 5 % errors "
@@ -52,29 +56,91 @@ PANEL = 4.6
 COLUMNS = 3
 
 
-def methods_table(answers: Sequence[Answer]) -> ReportTable:
-    """Return the decision on each method."""
-    rows = tuple((a.world, a.trial.name, _percent(a.trial.forecast), *_cells(a.trial)) for a in answers)
-    headings = ("world", "method", "forecast", *HEADINGS)
-    return ReportTable("methods", "Decision", CAPTION, headings, rows, 4, remarks=True)
+def conclusion(answer: Answer) -> str:
+    """Return the conclusion for the user, with share and interval."""
+    trial, decision = answer.trial, answer.trial.decision
+    if decision == "cannot be driven":
+        return " ".join(filter(None, (_impassable_text(answer), _next_text(answer))))
+    lead = "is undecided on" if decision == "undecided" else f"{decision} on"
+    parts = [f"{trial.name} {lead} {answer.world}: {trial.obstacle or _share_text(trial.test)}."]
+    if decision == "works" and trial.test.interval[0] >= PROMISED_SHARE:
+        parts.append(f"It works in at least {100 * PROMISED_SHARE:.0f} % of the drives.")
+    if decision == "undecided" and trial.forecast is not None:
+        parts.append(f"The forecast is that it works in {100 * trial.forecast:.0f} % of the drives.")
+    extents = dict.fromkeys(drive.extent for drive in trial.drives)
+    return " ".join(filter(None, (*parts, _failures_text(trial), *extents, _next_text(answer))))
 
 
-def changes_table(answers: Sequence[Answer]) -> ReportTable:
-    """Return the decision on each changed run."""
-    rows = tuple(
-        (answer.world, answer.trial.name, label, *_cells(trial))
-        for answer in answers
-        for label, trial in answer.changed
+def _impassable_text(answer: Answer) -> str:
+    """Return why most drives were not evaluated: they ended early, or were too short."""
+    trial, robot = answer.trial, answer.trial.config.robot
+    count = f"{trial.unevaluated} of {len(trial.drives)} drives were not evaluated"
+    ended = Counter(d.reason for d in trial.drives if d.kind == "not evaluated" and d.reason)
+    if not ended:
+        return f"{robot} drives too short a path on {answer.world}: {count}."
+    reason, often = ended.most_common(1)[0]
+    return f"{robot} cannot drive {answer.world}: {count}; most often ({often}): {reason}."
+
+
+def _next_text(answer: Answer) -> str:
+    """Return the command of the best change, or the one that continues."""
+    best = max(answer.changes, key=lambda change: (change.rank, change.test.successes), default=None)
+    if best is not None and best.rank > best.least:
+        kind, count = Counter(drive.kind for drive in best.drives).most_common(1)[0]
+        result = "worked" if kind == "works" else f"gave `{kind}`"
+        return f"Next: `{command_of(best.config)}` {result} in {count} of {len(best.drives)} drives."
+    if answer.continuation:
+        return f"{answer.continuation}."
+    if best is not None:
+        return f"Nothing tried is better: {', '.join(change.label for change in answer.changes)}."
+    decided = answer.trial.decision == "does not work"
+    return "No other method, lidar or drive promises more." if decided else ""
+
+
+def _share_text(test: SequentialTest) -> str:
+    """Return share and interval of the drives that worked."""
+    if not test.total:
+        return "no drive was evaluated"
+    low, high = test.interval
+    return (
+        f"it worked in {test.successes} of {test.total} drives ({100 * test.successes / test.total:.0f} %, "
+        f"{100 * CONFIDENCE:.0f} % interval {100 * low:.0f} to {100 * high:.0f} %)"
     )
-    headings = ("world", "method", "change", *HEADINGS)
-    return ReportTable("changes", "What changes the decision", "", headings, rows, 4, remarks=True)
+
+
+def _failures_text(trial: Trial) -> str:
+    """Return the most frequent failure with an example; empty without one."""
+    failed = [drive for drive in trial.drives if drive.kind not in ("works", "not evaluated")]
+    if not failed:
+        return ""
+    kind, count = Counter(drive.kind for drive in failed).most_common(1)[0]
+    example = next(drive for drive in failed if drive.kind == kind)
+    cause = f": {example.reason.rstrip('.')}" if example.reason else ""
+    return f"Most frequent failure: {kind} ({count} of {len(failed)}), as with seed {example.seed}{cause}."
+
+
+def methods_table(answers: Sequence[Answer]) -> ReportTable:
+    """Return the decision on each method, and the drives of each change."""
+    trials = [(answer, trial) for answer in answers for trial in (answer.trial, *answer.changes)]
+    rows = tuple((a.world, a.trial.name, _label(t), _percent(t.forecast), *_cells(t)) for a, t in trials)
+    headings = ("world", "method", "change", "forecast", *HEADINGS)
+    return ReportTable("methods", "Decision", CAPTION, headings, rows, 5, remarks=True)
 
 
 def drives_table(answers: Sequence[Answer]) -> ReportTable:
     """Return every drive with its verdict."""
-    trials = [t for a in answers for t in (a.trial, *(trial for _, trial in a.changed))]
-    rows = tuple((drive.folder, drive.kind, drive.sentence) for trial in trials for drive in trial.drives)
-    return ReportTable("drives", "Drives", "", ("folder", "verdict", "sentence"), rows, 3)
+    trials = [trial for answer in answers for trial in (answer.trial, *answer.changes)]
+    drives = {drive.folder: drive for trial in trials for drive in trial.drives}
+    labels: dict[str, dict[str, None]] = {name: {} for name in drives}
+    for trial in trials:
+        for drive in trial.drives:
+            labels[drive.folder][_label(trial)] = None
+    rows = tuple((name, ", ".join(labels[name]), d.kind, d.sentence) for name, d in drives.items())
+    return ReportTable("drives", "Drives", "", ("folder", "change", "verdict", "sentence"), rows, 4)
+
+
+def _label(trial: Trial) -> str:
+    return trial.label if isinstance(trial, Change) else NOTHING
 
 
 def _cells(trial: Trial) -> tuple[str, ...]:
@@ -95,25 +161,23 @@ def _percent(share: float | None) -> str:
     return NOTHING if share is None else f"{100 * share:.0f} %"
 
 
-def write_decision(out: Path, answers: Sequence[Answer], command: str) -> Path:
+def write_decision(out: Path, answers: Sequence[Answer], command: str, scenarios: ScenarioCache) -> Path:
     """Write `verdict.html`, `verdict.png` and `verdict.json`; return the page's path."""
-    picture = png(decision_figure(answers, out))
-    write_json(out / "verdict.json", {"command": command, "answers": [a.to_dict() for a in answers]})
+    picture = png(decision_figure(answers, out, scenarios))
+    sentences = [conclusion(answer) for answer in answers]
+    entries = [_json(answer, sentence) for answer, sentence in zip(answers, sentences, strict=True)]
+    write_json(out / "verdict.json", {"command": command, "answers": entries})
     with atomic_write(out / "verdict.png") as path:
         path.write_bytes(picture)
     drawn = PageFigure(data_url(picture), "Paths of the drives by verdict, and where they failed")
-    changes = changes_table(answers)
     sections = (
         PageSection("methods", "Decision", tables=(methods_table(answers),)),
         PageSection("map", "Where it worked and failed", figures=(drawn,)),
-        *([PageSection("changes", changes.title, tables=(changes,))] if changes.rows else []),
         PageSection("drives", "Drives", tables=(drives_table(answers),)),
         PageSection("command", "Command", commands=(command,)),
     )
     html = page_html(
-        "Verdict: " + ", ".join(dict.fromkeys(answer.world for answer in answers)),
-        [answer.sentence for answer in answers],
-        sections,
+        "Verdict: " + ", ".join(dict.fromkeys(answer.world for answer in answers)), sentences, sections
     )
     page = out / "verdict.html"
     with atomic_write(page) as path:
@@ -121,11 +185,16 @@ def write_decision(out: Path, answers: Sequence[Answer], command: str) -> Path:
     return page
 
 
-def decision_figure(answers: Sequence[Answer], out: Path) -> Drawing:
+def _json(answer: Answer, sentence: str) -> dict[str, Any]:
+    """Return an answer as JSON stores it."""
+    changes = [{"change": change.label} | change.to_dict() for change in answer.changes]
+    return {"world": answer.world, "sentence": sentence, "changes": changes} | answer.trial.to_dict()
+
+
+def decision_figure(answers: Sequence[Answer], out: Path, scenarios: ScenarioCache) -> Drawing:
     """Draw the drives of each method on the world's map."""
     columns = min(COLUMNS, len(answers))
     rows = -(-len(answers) // columns)
-    scenarios = ScenarioCache()
     figure = new_figure(PANEL * columns + 0.4, (PANEL + 0.5) * rows)
     for k, answer in enumerate(answers, start=1):
         world = scenarios.scenario(answer.trial.config).world

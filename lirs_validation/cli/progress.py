@@ -154,8 +154,13 @@ def progress_bar(work: str, console: Console = err) -> Iterator[Progress]:
         yield progress
 
 
-def run_with_progress(sweep: Sweep, executor: Executor, console: Console = err) -> Generator[Outcome]:
-    """Run a sweep's tasks under a bar with the time left for all of them."""
+def run_with_progress(
+    sweep: Sweep,
+    executor: Executor,
+    console: Console = err,
+    watch: Callable[[str, str, float], None] = lambda name, step, share: None,
+) -> Generator[Outcome]:
+    """Run a sweep's tasks under a bar with the time left; `watch` gets name, step and share of each."""
     running: dict[str, float] = {}
     done, total, time_left = 0, len(sweep.pending), sweep.time_left
     with _bar(console, TextColumn("{task.fields[left]}")) as bar, closing(ProgressNotes(console)) as notes:
@@ -170,6 +175,7 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console = err) 
 
         def progress_of(name: str) -> Progress:
             def progress(step: str, share: float) -> None:
+                watch(name, step, share)
                 running[name] = share
                 time_left.begin(name)
                 show(name, step)

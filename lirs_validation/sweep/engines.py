@@ -17,10 +17,10 @@ import time
 import traceback
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -80,7 +80,7 @@ class WorkerPool:
 
     def run(
         self, jobs: Sequence[Job[T]], report: Report = lambda number, step, share: None
-    ) -> Iterator[tuple[int, T | Failure]]:
+    ) -> Generator[tuple[int, T | Failure]]:
         """Yield the number and the result of each job as it ends.
 
         An error of a job is raised. A job whose process dies is tried once more.
@@ -222,7 +222,7 @@ def do_task(
 class Processes:
     """Run tasks in separate processes, `jobs` at a time.
 
-    A process that is killed or hangs costs only its own run.
+    A process that is killed or hangs costs only its own run. Idle ones wait for further tasks.
 
     Attributes:
         jobs: Number of concurrent runs; with one, real-time factors are valid as in `Serial`.
@@ -234,6 +234,10 @@ class Processes:
     scenario: Scenario | None = None
     concurrent: bool = False
 
+    @cached_property
+    def _pool(self) -> WorkerPool:
+        return WorkerPool(self.jobs, self.seconds)
+
     def run(self, tasks: Sequence[SweepTask], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run tasks into folders of `out`."""
         names = [task.name for task in tasks]
@@ -244,8 +248,8 @@ class Processes:
             progress_of(names[number])(step, share)
 
         try:
-            with WorkerPool(self.jobs, self.seconds) as pool:
-                for number, outcome in pool.run(jobs, report):
+            with closing(self._pool.run(jobs, report)) as results:
+                for number, outcome in results:
                     if isinstance(outcome, Failure):
                         yield Outcome(task=names[number], **vars(outcome))
                     else:

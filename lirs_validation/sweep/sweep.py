@@ -177,11 +177,13 @@ class Executor(Protocol):
 class Serial:
     """Run one task after the other in this process; real-time factors are valid."""
 
+    def __init__(self, scenarios: ScenarioCache | None = None) -> None:
+        self._scenarios = scenarios or ScenarioCache()
+
     def run(self, tasks: Sequence[SweepTask], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run tasks into folders of `out`."""
-        scenarios = ScenarioCache()
         for task in tasks:
-            yield task.attempt(out, scenarios, progress_of(task.name), concurrent=False)
+            yield task.attempt(out, self._scenarios, progress_of(task.name), concurrent=False)
 
 
 class Sweep:

@@ -299,10 +299,10 @@ def make_suite(name: str, **options: Any) -> tuple[SweepTask, ...]:
     return tuple(tasks)
 
 
-def make_executor(options: EngineOptions) -> Executor:
-    """Make a Ray cluster, processes for jobs or a time limit, or `Serial`."""
+def make_executor(options: EngineOptions, scenarios: ScenarioCache | None = None) -> Executor:
+    """Make a Ray cluster, processes for jobs or a time limit, or `Serial` with worlds built before."""
     if options.address is None and options.jobs in (None, 1) and options.cell_timeout is None:
-        return Serial()
+        return Serial(scenarios)
     from lirs_validation.sweep.engines import Processes, RayCluster
 
     if options.address is not None:

@@ -1,6 +1,8 @@
 """Decision: drives until decided, which count, what is tried then, and the files of the result."""
 
 import json
+import time
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lirs_extensions.decide.decide import Answer, Trial, TrialDrive, changes, decide
-from lirs_extensions.decide.page import failure_place, write_decision
+from lirs_extensions.decide.decide import Answer, Budget, Change, Trial, TrialDrive, decide
+from lirs_extensions.decide.forecast import NO_INFORMATION, DriveSite, SiteFeatures, changes
+from lirs_extensions.decide.page import conclusion, drives_table, failure_place, write_decision
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
 from lirs_validation.sweep.sweep import Outcome
@@ -20,7 +23,10 @@ from lirs_wct.geometry import Pose2, Trajectory
 from tests.lirs_validation.records import record, saved_whole
 
 CONFIG = RunConfig(source="simple", mapper="hector", seconds=20)
-ENGINE = EngineOptions()
+SEEN = SiteFeatures(
+    **{"walls": 0.3, "walls_low": 0.2, "ground": 0.1, "position_information": -1.0, "yaw_information": -1.0},
+    **{"loops": 0.1, "wall_scans": 1.0},
+)
 
 
 def path(drift: float) -> Trajectory:
@@ -53,55 +59,161 @@ def driven(room: str, monkeypatch: pytest.MonkeyPatch) -> list[RunConfig]:
     scenario = replace(scenario, world=replace(scenario.world, name="simple"))
     monkeypatch.setattr(ScenarioCache, "scenario", lambda _, config: replace(scenario, config=config))
     monkeypatch.setattr("lirs_extensions.decide.decide.forecast", lambda *_: 0.7)
+    monkeypatch.setattr(DriveSite, "features", lambda self, config=None: SEEN)
     monkeypatch.setattr(RunTask, "run", perform)
     monkeypatch.setattr("lirs_validation.sweep.sweep.damaged_files", lambda *_: [])
     return configs
 
 
-def test_drives_end_with_the_decision_and_then_changes_are_tried(
+class Slow:
+    """Drives by a clock that only they move: wall seconds of a drive by mapper; negative = Ctrl-C."""
+
+    def __init__(self) -> None:
+        self.now, self.costs, self.order = 0.0, dict[str, float](), list[str]()
+
+    def run(self, task: RunTask, out: Path, scenarios: object, progress: Any, **_: Any) -> Outcome:
+        cost = self.costs[task.config.mapper]
+        if cost < 0:
+            raise KeyboardInterrupt
+        for share in np.linspace(0.0, 1.0, 101):
+            progress("drive", share)
+            self.now += cost / 100
+        self.order.append(task.config.mapper)
+        made = replace(record("simple", ate=0.02), config=task.config)
+        saved_whole(out, replace(made, rtf=made.rtf | {"wall_seconds": cost}))
+        return Outcome(task=task.name, status="ok", written=True)
+
+
+@pytest.fixture
+def slow(driven: list[RunConfig], monkeypatch: pytest.MonkeyPatch) -> Slow:
+    made = Slow()
+    monkeypatch.setattr(RunTask, "run", lambda task, *given, **named: made.run(task, *given, **named))
+    monkeypatch.setattr(time, "monotonic", lambda: made.now)
+    return made
+
+
+def ask_all(configs: list[RunConfig], out: Path, budget: float = 60.0, **engine: Any) -> tuple[Answer, ...]:
+    options, timed = EngineOptions(**engine), Budget(budget, time.monotonic())
+    return decide(configs, out, options, timed, scenarios=ScenarioCache(), again=AGAIN)
+
+
+def AGAIN(budget: str | None) -> str:
+    return f"lirs-wct verdict simple --budget {budget}"
+
+
+def test_drives_end_with_the_decision_and_a_failing_method_gets_a_next_step(
     driven: list[RunConfig], tmp_path: Path
 ) -> None:
     configs = [CONFIG, replace(CONFIG, mapper="hector_original")]
-    works, fails = decide(configs, tmp_path, ENGINE, budget=60)
-    assert (works.trial.decision, len(works.trial.drives)) == ("works", 10)
+    works, fails = ask_all(configs, tmp_path)
+    assert (works.trial.decision, len(works.trial.drives), works.changes) == ("works", 10, ())
     assert (fails.trial.decision, len(fails.trial.drives)) == ("does not work", 3)
     assert [drive.seed for drive in works.trial.drives] == list(range(1, 11))
-    assert {label: trial.decision for label, trial in works.changed} == {
-        "without IMU attitude": "does not work",
-        "lidar rplidar_a1 (12 m)": "does not work",
-        "twice the odometry noise": "works",
-    }
-    assert dict(fails.changed)["terrain-aware hector"].decision == "works"
-    assert "hector on husky works on simple: it worked in 10 of 10 drives" in works.sentence
-    assert "It fails without IMU attitude (0 of 3), with lidar rplidar_a1 (12 m) (0 of 3)." in works.sentence
-    assert "at least 80 %" not in works.sentence
-    assert "Most frequent failure: loses its way (3 of 3), as with seed 1." in fails.sentence
-    assert "It works with terrain-aware hector (10 of 10)." in fails.sentence
+    assert conclusion(works).startswith("hector on husky works on simple: it worked in 10 of 10 drives")
+    assert "at least 80 %" not in conclusion(works)
+    assert "Most frequent failure: loses its way (3 of 3), as with seed 1." in conclusion(fails)
+    command = "lirs-wct validate simple --robot husky --mapper hector --seed 1 --seconds 20"
+    assert conclusion(fails).endswith(f"Next: `{command}` worked in 3 of 3 drives.")
+    assert len(driven) == 13, "the change has drives in common with the other method"
+    assert len({(config.mapper, config.seed) for config in driven}) == 13
+
+
+def test_every_drive_is_listed_once_with_its_change(driven: list[RunConfig], tmp_path: Path) -> None:
+    answers = ask_all([CONFIG, replace(CONFIG, mapper="hector_original")], tmp_path)
+    rows = {row[0]: row[1] for row in drives_table(answers).rows}
+    assert sorted(rows) == sorted(path.name for path in tmp_path.iterdir())
+    assert len(drives_table(answers).rows) == len(rows)
+    assert Counter(rows.values()) == {"-": 10, "-, terrain-aware hector": 3}
+
+
+def test_nothing_is_named_if_nothing_tried_is_better(driven: list[RunConfig], tmp_path: Path) -> None:
+    (answer,) = ask_all([replace(CONFIG, mapper="gmapping", attitude="none")], tmp_path)
+    assert len(answer.changes) > 2
+    assert all(len(change.drives) == 1 for change in answer.changes), "the first drive shows no gain"
+    assert "Next:" not in conclusion(answer)
+    assert "Nothing tried is better: with IMU attitude, 60 s, wheel_lio with lidar vlp16" in conclusion(
+        answer
+    )
+
+
+def test_methods_advance_in_turn_by_their_time(slow: Slow, tmp_path: Path) -> None:
+    slow.costs = {"hector": 1.0, "gmapping": 8.5}
+    hector, gmapping = ask_all([CONFIG, replace(CONFIG, mapper="gmapping")], tmp_path, budget=40.0)
+    assert hector.trial.decision == "works"
+    assert slow.order[:10] == ["hector", "gmapping", *["hector"] * 8]
+    assert gmapping.trial.decision == "undecided"
+    assert slow.now <= 40.0
+
+
+def test_a_drive_that_would_end_too_late_is_stopped_and_leaves_nothing(
+    slow: Slow, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slow.costs = {"hector": 120.0}
+    (answer,) = ask_all([CONFIG], tmp_path, budget=60.0)
+    assert slow.now < 10.0, "its first seconds show it"
+    assert list(tmp_path.iterdir()) == []
+    assert "hector on husky: 10 drives need 20 min: --budget 21min" in capsys.readouterr().err
+    text = conclusion(answer)
+    assert text.endswith("10 drives need 20 min: `lirs-wct verdict simple --budget 21min`.")
+
+
+def test_the_cost_of_earlier_drives_is_known(slow: Slow, tmp_path: Path) -> None:
+    slow.costs = {"hector": 20.0}
+    ask_all([CONFIG], tmp_path, budget=30.0)
+    assert slow.order == ["hector"]
+    (answer,) = ask_all([CONFIG], tmp_path, budget=15.0)
+    assert slow.order == ["hector"], "the second is not even begun"
+    assert (answer.trial.decision, len(answer.trial.drives)) == ("undecided", 1)
+    assert "9 drives need 3 min" in conclusion(answer)
+
+
+def test_a_person_ends_drives_as_before(slow: Slow, tmp_path: Path) -> None:
+    slow.costs = {"hector": -1.0}
+    with pytest.raises(KeyboardInterrupt):
+        ask_all([CONFIG], tmp_path)
+
+
+def test_without_any_wall_in_sight_nothing_is_driven(
+    driven: list[RunConfig], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    blind = replace(SEEN, walls=0.0, wall_scans=0.0, position_information=NO_INFORMATION)
+    monkeypatch.setattr(DriveSite, "features", lambda self, config=None: blind)
+    planar, cloud = ask_all([CONFIG, replace(CONFIG, mapper="wheel_lio", lidar="vlp16")], tmp_path)
+    assert planar.trial.decision == "does not work"
+    assert {config.mapper for config in driven} == {"wheel_lio"}
+    assert conclusion(planar) == (
+        "hector on husky does not work on simple: 100 % of the scans along its tours "
+        "meet no wall within 20 m. "
+        "No other method, lidar or drive promises more."
+    )
+    assert cloud.trial.drives
 
 
 def test_waypoints_are_checked_before_any_drive(driven: list[RunConfig], tmp_path: Path) -> None:
     waypoints = tmp_path / "way.csv"
     waypoints.write_text("x,y\n0,0\n1000,0\n")
     with pytest.raises(WctError, match=r"way\.csv"):
-        decide([replace(CONFIG, driver=f"waypoints:{waypoints}")], tmp_path / "out", ENGINE, budget=60)
+        ask_all([replace(CONFIG, driver=f"waypoints:{waypoints}")], tmp_path / "out")
     assert not driven
     assert not (tmp_path / "out").exists()
 
 
 def test_without_time_nothing_is_decided(driven: list[RunConfig], tmp_path: Path) -> None:
-    (answer,) = decide([CONFIG], tmp_path, ENGINE, budget=0)
+    (answer,) = ask_all([CONFIG], tmp_path, budget=0)
     assert not driven
     assert answer.trial.decision == "undecided"
-    assert answer.sentence.startswith("hector on husky is undecided on simple: no drive was evaluated.")
-    assert answer.sentence.endswith("The forecast is that it works in 70 % of the drives.")
+    assert conclusion(answer) == (
+        "hector on husky is undecided on simple: no drive was evaluated. The forecast is that it works in "
+        "70 % of the drives. `lirs-wct verdict simple --budget None` continues."
+    )
 
 
 def test_a_terrain_that_the_robot_cannot_drive_ends_the_drives(
     driven: list[RunConfig], tmp_path: Path
 ) -> None:
-    (answer,) = decide([replace(CONFIG, seed=101)], tmp_path, ENGINE, budget=60)
-    assert (answer.trial.decision, len(answer.trial.drives), answer.changed) == ("cannot be driven", 10, ())
-    assert answer.sentence == (
+    (answer,) = ask_all([replace(CONFIG, seed=101)], tmp_path)
+    assert (answer.trial.decision, len(answer.trial.drives), answer.changes) == ("cannot be driven", 10, ())
+    assert conclusion(answer) == (
         "husky cannot drive simple: 10 of 10 drives were not evaluated; most often (10): it ended: tipped."
     )
 
@@ -109,7 +221,7 @@ def test_a_terrain_that_the_robot_cannot_drive_ends_the_drives(
 def test_a_robot_without_room_is_refused_before_any_drive(hills: dict[str, Any], tmp_path: Path) -> None:
     tiny = replace(CONFIG, source=hills["source"], build=replace(CONFIG.build, size=1.0))
     with pytest.raises(ConfigError, match="husky"):
-        decide([tiny], tmp_path, ENGINE, budget=60)
+        ask_all([tiny], tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -141,34 +253,45 @@ def test_drives_that_were_not_evaluated_are_repeated(kinds: str, decision: str, 
 
 
 def test_drives_that_are_too_short_are_no_fault_of_the_terrain() -> None:
-    sentence = Answer("simple", Trial(CONFIG, drives("n" * 10))).sentence
-    assert sentence == (
-        "husky drives too short a path on simple: 10 of 10 drives were not evaluated; raise --seconds."
-    )
+    trial = Trial(CONFIG, drives("n" * 10))
+    sentence = conclusion(Answer("simple", trial))
+    assert sentence == "husky drives too short a path on simple: 10 of 10 drives were not evaluated."
+    longer = Change(replace(CONFIG, seconds=60), drives("w"), label="60 s", least=trial.rank)
+    assert conclusion(Answer("simple", trial, (longer,))).endswith("--seconds 60` worked in 1 of 1 drives.")
 
 
 def test_the_most_frequent_failure_is_named_with_its_cause() -> None:
     made = tuple(replace(drive, reason="no walls within 20 m") for drive in drives("nll"))
-    assert Answer("quarry", Trial(CONFIG, made)).sentence.endswith(
-        "Most frequent failure: loses its way (2 of 2), as with seed 2: no walls within 20 m."
-    )
+    text = "Most frequent failure: loses its way (2 of 2), as with seed 2: no walls within 20 m."
+    assert text in conclusion(Answer("quarry", Trial(CONFIG, made)))
 
 
 def test_a_promise_needs_the_whole_interval() -> None:
-    sentence = Answer("simple", Trial(CONFIG, drives("w" * 10))).sentence
+    sentence = conclusion(Answer("simple", Trial(CONFIG, drives("w" * 10))))
     assert "at least 80 %" not in sentence
-    assert "at least 80 %" in Answer("simple", Trial(CONFIG, drives("w" * 17))).sentence
+    assert "at least 80 %" in conclusion(Answer("simple", Trial(CONFIG, drives("w" * 17))))
 
 
-def test_changes_of_clouds_and_of_foreign_mappers() -> None:
-    cloud = replace(CONFIG, mapper="genz-icp", lidar="vlp16")
-    assert list(changes(cloud, works=False)) == ["half the odometry noise"]
-    blind = replace(CONFIG, attitude="none")
-    assert list(changes(blind, works=False)) == [
-        "with IMU attitude",
-        "lidar lms1xx (30 m)",
-        "half the odometry noise",
-    ]
+@pytest.mark.parametrize(
+    ("config", "walls", "expected"),
+    [
+        (CONFIG, 0.5, ["60 s", "lidar lms1xx (30 m)", "wheel_lio with lidar vlp16"]),
+        (replace(CONFIG, attitude="none", seconds=60), 0.5, ["with IMU attitude", "lidar lms1xx (30 m)"]),
+        (replace(CONFIG, mapper="hector_original", seconds=60), 0.5, ["terrain-aware hector"]),
+        (CONFIG, 0.01, ["wheel_lio with lidar vlp16"]),
+        (replace(CONFIG, mapper="wheel_lio", lidar="vlp16", seconds=60), 0.01, ["lidar os1_32 (120 m)"]),
+    ],
+)
+def test_changes_follow_the_diagnosis(
+    config: RunConfig, walls: float, expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def features(self: DriveSite, other: RunConfig | None = None) -> SiteFeatures:
+        return replace(SEEN, walls=walls if other is None else 2 * walls)
+
+    monkeypatch.setattr(DriveSite, "features", features)
+    found = list(changes(DriveSite(None, config), short=False))  # type: ignore[arg-type]
+    assert found[: len(expected)] == expected
+    assert list(changes(DriveSite(None, CONFIG), short=True)) == ["60 s"]  # type: ignore[arg-type]
 
 
 def test_a_failure_is_where_the_drive_ended_or_the_error_exceeded_the_limit() -> None:
@@ -182,10 +305,10 @@ def test_a_failure_is_where_the_drive_ended_or_the_error_exceeded_the_limit() ->
 
 
 def test_page_picture_and_json_are_written(driven: list[RunConfig], tmp_path: Path) -> None:
-    answers = decide([CONFIG], tmp_path, ENGINE, budget=60)
-    page = write_decision(tmp_path, answers, "lirs-wct verdict simple <x>")
+    answers = ask_all([CONFIG], tmp_path)
+    page = write_decision(tmp_path, answers, "lirs-wct verdict simple <x>", ScenarioCache())
     html = page.read_text(encoding="utf-8")
-    assert answers[0].sentence in html
+    assert conclusion(answers[0]) in html
     assert "lirs-wct verdict simple &lt;x&gt;" in html
     assert (tmp_path / "verdict.png").stat().st_size > 10_000
     (answer,) = json.loads((tmp_path / "verdict.json").read_text(encoding="utf-8"))["answers"]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.robots.robot import make_robot
 from lirs_extensions.decide.forecast import (
     MIN_INFORMATION,
+    DriveSite,
     LogisticModel,
     cloud_information,
     forecast,
@@ -79,12 +79,13 @@ def test_a_model_is_monotonic_and_gets_no_bolder_beyond_what_was_studied() -> No
 
 
 def test_a_forecast_tells_walls_from_bare_hills_and_is_only_given_for_what_was_studied(room: str) -> None:
-    robot = make_robot("husky")
     walls = build_scenario(replace(CONFIG, source=room)).world
     x = np.linspace(-10, 10, 201)
     waves = (0.3 * np.sin(x)[None] * np.cos(x)[:, None]).astype(np.float32)
     bare = World("bare", Terrain(HeightField.centered(waves, (0.1, 0.1))))
-    high, low = forecast(walls, robot, CONFIG), forecast(bare, robot, CONFIG)
-    assert low < 0.5 < high
+    seen, blind = DriveSite(walls, CONFIG).features(), DriveSite(bare, CONFIG).features()
+    assert forecast(blind, CONFIG) < 0.5 < forecast(seen, CONFIG)
+    assert blind.wall_scans == 0.0
+    assert seen.wall_scans == 1.0
     for other in ({"attitude": "none"}, {"mapper": "cartographer"}, {"odometry_noise": 2.0}):
-        assert forecast(walls, robot, replace(CONFIG, **other)) is None
+        assert forecast(seen, replace(CONFIG, **other)) is None
