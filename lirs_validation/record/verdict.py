@@ -388,11 +388,11 @@ def _map_sentence(figures: VerdictFigures, limits: VerdictLimits) -> str:
     else:
         kind, clauses = "elevation map", [] if off is None else [f"its error is {ELEVATION.text(off)}"]
         clauses += [] if seen is None else [f"{SEEN.text(seen)} of the visible ground is seen"]
-    if not clauses:
+    poor, compared = _poor_map(figures, limits), agree is not None or off is not None
+    if not clauses or not (poor or compared):
         return "The map was not evaluated."
     exact = (false or 0.0) <= limits.false_occupied and (off or 0.0) <= limits.elevation_rmse
-    quality = "right" if exact else "as good as its scans allow"
-    quality = "not usable" if _poor_map(figures, limits) else quality
+    quality = "not usable" if poor else "right" if exact else "as good as its scans allow"
     return f"Its {kind} is {quality}: {', '.join(clauses)}."
 
 

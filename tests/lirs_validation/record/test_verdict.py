@@ -215,6 +215,7 @@ PAIR = {"f1": 0.67, "f1_aligned": 0.94, "false_occupied_aligned": 0.13, "referen
         ({"elevation_seen": 0.6}, "Its elevation map is not usable: 60 % of the visible ground is seen."),
         ({"elevation_rmse_aligned": 0.3, "reference_elevation_rmse": 0.29, "elevation_seen": 0.9},
          "Its elevation map is as good as its scans allow: its error is 0.300 m, 90 %"),
+        ({"elevation_seen": 0.9}, "The map was not evaluated."),
         ({}, "The map was not evaluated."),
     ],
 )  # fmt: skip
