@@ -91,7 +91,7 @@ class Metric:
         return f"{value:.{self.digits}f}" if self.digits is not None else significant(value)
 
     def text(self, value: float) -> str:
-        """Return a value of a record as sentences show it: with this metric's digits and unit."""
+        """Return a record's value with digits and unit, as in a sentence."""
         return f"{self.formatted(value * self.scale)} {self.unit}".rstrip()
 
 
@@ -218,7 +218,7 @@ def metrics_in(*sections: Section) -> tuple[Metric, ...]:
 
 
 def metrics_selected(selection: Selection) -> tuple[Metric, ...]:
-    """Return the metrics of a selection; the RTF is last, where a narrow screen hides it first."""
+    """Return the metrics of a selection, the RTF last: narrow screens hide it first."""
     selected = (metric for metric in METRICS if selection in metric.selections)
     return tuple(sorted(selected, key=lambda metric: metric.section == "rtf"))
 
