@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from lirs_validation.processes import raise_interrupts
+from lirs_validation.processes import interrupt_after, raise_interrupts
 
 
 @pytest.fixture(autouse=True)
@@ -40,3 +40,15 @@ def test_a_process_that_ignores_ctrl_c_goes_on_to_do_so() -> None:
     raise_interrupts()
     signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_an_alarm_interrupts_only_a_block_that_lasts_longer() -> None:
+    before = signal.getsignal(signal.SIGALRM)
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), interrupt_after(0.05):
+        time.sleep(10)
+    assert time.monotonic() - begun < 5
+    with interrupt_after(0.05):
+        pass
+    time.sleep(0.1)
+    assert signal.getsignal(signal.SIGALRM) is before

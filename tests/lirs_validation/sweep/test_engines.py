@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from lirs_extensions.search.case_search import TrialArchive
-from lirs_validation.sweep.engines import WorkerPool
-from lirs_validation.sweep.sweep import Serial, Sweep
+from lirs_validation.cli.progress import run_with_progress
+from lirs_validation.sweep.engines import Processes, WorkerPool
+from lirs_validation.sweep.sweep import Executor, Serial, Sweep
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.files import remove_leftovers
 from lirs_wct.progress import Progress
@@ -23,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[3]
 SCRIPT = """
 import sys
 from pathlib import Path
+from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.sweep.engines import Processes
 from lirs_validation.sweep.sweep import Sweep
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
@@ -143,3 +145,41 @@ def test_a_search_keeps_the_order_of_its_trials_in_processes(tmp_path: Path) -> 
         with pytest.raises(WctError, match="a process that drove hector died; the same command continues"):
             shared.scores(die, [("9", (9,))], "hector")
     assert (tmp_path / "shared.jsonl").read_bytes() == (tmp_path / "alone.jsonl").read_bytes()
+
+
+class TooLate(KeyboardInterrupt):
+    """Interrupt by the function that watches the progress."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", [Serial(), Processes(jobs=1)])
+def test_a_task_that_its_watcher_stops_leaves_nothing_and_others_follow(
+    executor: Executor, tmp_path: Path
+) -> None:
+    def watch(name: str, step: str, share: float) -> None:
+        if name == "hanging":
+            raise TooLate
+
+    notes, out = tmp_path / "notes", tmp_path / "out"
+    notes.mkdir()
+    tasks = [FakeExperiment(name, str(notes)) for name in ("first", "second")]
+    assert [each.task for each in run_with_progress(Sweep(tasks[:1], out), executor)] == ["first"]
+    hanging = FakeExperiment("hanging", str(notes), "hangs")
+    with pytest.raises(TooLate):
+        list(run_with_progress(Sweep([hanging], out, listed=False), executor, watch=watch))
+    assert [each.task for each in run_with_progress(Sweep(tasks[1:], out), executor)] == ["second"]
+    assert sorted(path.name for path in out.iterdir()) == ["first", "second", "sweep.json"]
+
+
+@pytest.mark.slow
+def test_an_idle_process_waits_for_the_next_sweep(tmp_path: Path) -> None:
+    notes, out = tmp_path / "notes", tmp_path / "out"
+    notes.mkdir()
+    tasks = [FakeExperiment(name, str(notes)) for name in ("first", "second")]
+    executor = Processes(jobs=1)
+    for task in tasks:
+        list(Sweep([task], out).run(executor))
+    (process,) = tasks[0].runs
+    assert tasks[1].runs == [process]
+    del executor
+    until(lambda: not lives(process))
