@@ -70,7 +70,7 @@ def test_drive_steer_save_and_replay(open_page: Open, server: Any, tmp_path: Pat
 
     page.get_by_role("tab", name="Replay").click()
     upload(page, "Open a zipped run", archive)
-    page.get_by_text("map F1").wait_for()
+    page.get_by_text("ATE of odometry").wait_for()
     page.get_by_role("button", name="Play").click()
     wait_for(lambda: _time(page) > 1.0)
     page.get_by_role("button", name="Play").wait_for()
