@@ -163,11 +163,13 @@ def run_with_progress(
     """Run a sweep's tasks under a bar with the time left; `watch` gets name, step and share of each."""
     running: dict[str, float] = {}
     done, total, time_left = 0, len(sweep.pending), sweep.time_left
-    with _bar(console, TextColumn("{task.fields[left]}")) as bar, closing(ProgressNotes(console)) as notes:
+    column = TextColumn("{task.fields[left]}") if total > 1 else TimeRemainingColumn()
+    with _bar(console, column) as bar, closing(ProgressNotes(console)) as notes:
         task = bar.add_task("", total=float(total), left="")
 
         def show(name: str, step: str) -> None:
-            seconds, completed = time_left.seconds(), done + sum(running.values())
+            seconds = time_left.seconds() if total > 1 else None
+            completed = done + sum(running.values())
             left = "" if seconds is None else f"{duration_text(seconds)} left"
             text = f"{done}/{total} " * (total > 1) + f"{name}: {STEPS.get(step, step)}"
             bar.update(task, description=text, completed=completed, left=left)

@@ -2,12 +2,24 @@
 
 import io
 import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from lirs_validation.cli import progress as module
-from lirs_validation.cli.progress import LINE_PERIOD, ProgressNotes, note, progress_bar, say
+from lirs_validation.cli.progress import (
+    LINE_PERIOD,
+    ProgressNotes,
+    note,
+    progress_bar,
+    run_with_progress,
+    say,
+)
+from lirs_validation.config import RunConfig
+from lirs_validation.sweep.sweep import Outcome, ProgressOf, Sweep, SweepTask, TimeLeft
+from lirs_validation.sweep.tasks import RunTask
 
 
 class Clock:
@@ -80,3 +92,27 @@ def test_lines_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> No
     say(f"runs/[bold]/{'a' * 300}")
     note("map[1].yaml: [red]")
     assert capsys.readouterr() == (f"runs/[bold]/{'a' * 300}\n", "map[1].yaml: [red]\n")
+
+
+def test_a_sweep_tells_the_time_left_once_it_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "LINE_PERIOD", 0.0)
+    clock, file = Clock(), io.StringIO()
+
+    class Engine:
+        def run(self, tasks: Sequence[SweepTask], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
+            for task in tasks:
+                progress_of(task.name)("build", 0.0)
+                clock.now += 40.0
+                progress_of(task.name)("drive", 0.5)
+                clock.now += 60.0
+                yield Outcome(task=task.name, status="ok", written=True)
+
+    tasks = [RunTask(RunConfig(source="simple", mapper="own:Slow", seed=seed)) for seed in (1, 2, 3)]
+    monkeypatch.setattr(RunTask, "check", lambda self: None)
+    sweep = Sweep(tasks, tmp_path)
+    sweep.time_left = TimeLeft(tasks, clock)
+    assert len(list(run_with_progress(sweep, Engine(), Console(file=file, width=200)))) == 3
+    left = [line.partition("%")[2] for line in file.getvalue().splitlines() if "driving" in line]
+    assert left == ["", ", 3 min left", ", 60 s left"]
