@@ -20,9 +20,8 @@ from scipy.stats import spearmanr
 from benchmarks.steps import arguments, print_rows
 from lirs_envs.env import RobotEnv
 from lirs_envs.policies import GoToGoal, Policy, PolicyContext, RandomActions, StraightAhead
-from lirs_extensions.bench.episode import make_task_env, reset_options
+from lirs_extensions.bench.episode import distance_share, make_task_env, reset_options
 from lirs_extensions.bench.policies import BASELINES
-from lirs_extensions.bench.scores import distance_share
 from lirs_extensions.bench.tasks import BenchTask, task_set
 
 LEAST = 0.8

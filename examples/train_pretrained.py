@@ -36,7 +36,7 @@ from lirs_envs.pretrained import (
 )
 from lirs_envs.tasks.site import Site
 from lirs_envs.vector_env import RobotVectorEnv
-from lirs_extensions.bench.scores import success_by_path_length
+from lirs_extensions.bench.episode import success_by_path_length
 from lirs_extensions.bench.tasks import WorldSpec
 from lirs_wct.arrays import FloatArray, njit
 

@@ -17,9 +17,8 @@ from lirs_envs.generators.arena import ArenaConfig, arena
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.sensors import SensorFaults, SensorNoise, write_noise
-from lirs_extensions.bench.episode import run_episode
+from lirs_extensions.bench.episode import episode_metrics, run_episode
 from lirs_extensions.bench.policies import PolicyChoice
-from lirs_extensions.bench.scores import episode_metrics
 from lirs_extensions.bench.tasks import BenchTask, WorldSpec
 from lirs_extensions.search.case_search import (
     Case,

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lirs_extensions.bench.episode import SPENT, make_task_env, run_episode
+from lirs_extensions.bench.episode import SPENT, episode_metrics, make_task_env, run_episode
 from lirs_extensions.bench.policies import PolicyChoice
-from lirs_extensions.bench.scores import episode_metrics
 from lirs_extensions.bench.tasks import BenchTask, WorldSpec
 from lirs_wct.errors import ConfigError
 

@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 
 from lirs_envs.episodes.observations import GROUPS
-from lirs_extensions.bench.episode import RECORD, EpisodeTask
+from lirs_extensions.bench.episode import (
+    RECORD,
+    EpisodeTask,
+    coverage_area,
+    distance_share,
+    success_by_path_length,
+)
 from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.results import difference_line, read_results, score_of, share_of_bound
-from lirs_extensions.bench.scores import coverage_area, distance_share, success_by_path_length
 from lirs_extensions.bench.tasks import BenchTask, TaskSet
 from lirs_validation.sweep.sweep import Outcome
 
