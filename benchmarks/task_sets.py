@@ -9,25 +9,17 @@ are in the shipped set. When a task changes, its set's version is raised by hand
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-
 from benchmarks.steps import arguments
-from lirs_envs.env import RobotEnv
 from lirs_envs.generators.terrain import KINDS
-from lirs_envs.robots.robot import make_robot
-from lirs_extensions.bench.episode import reset_options
+from lirs_extensions.bench.drawing import Drawing
 from lirs_extensions.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, WorldSpec, set_entry, task_set
 from lirs_validation.driving.choice import CLEARANCE
-from lirs_wct.errors import SimulationError, SourceError
-from lirs_wct.geometry import OccupancyGrid
-from lirs_wct.world import World
+from lirs_wct.errors import SourceError
 
 
 @dataclass(frozen=True)
@@ -40,9 +32,18 @@ class Plan:
     navigation: int
     mapping: int
 
-    def time_limit(self, seconds: int, meters: float) -> float:
-        """Return seconds, and those in which the robot drives some meters."""
-        return float(math.ceil(seconds + meters / min(PACE, 0.8 * make_robot(self.robot).max_speed)))
+    def draw(self, data: Path | None, first: int) -> list[BenchTask]:
+        """Return the tasks; their seeds begin with `first`."""
+        world, tasks = self.world.world(data), []
+        for task, count, seed in (
+            ("navigation", self.navigation, first),
+            ("mapping", self.mapping, first + 500),
+        ):
+            if count:
+                drawing = Drawing(self.world, world, task, self.robot, split=self.split, margins=(CLEARANCE,))
+                name = f"{self.split}-{task}-{self.world.name}-{self.robot}"
+                tasks += [drawing.draw(f"{name}-{k}", seed + k, k) for k in range(count)]
+        return tasks
 
 
 MAPS = (("maze", "train"), ("smoothers_world", "validation"), ("depot", "test"), ("willow", "test"))
@@ -128,16 +129,6 @@ COURSE_DIFFICULTIES = {"train": (0.25, 0.5, 0.75), "validation": (0.5, 0.75), "t
 
 VERSIONS = {"indoor": 3, "hills": 2, "lirs": 2, "generated": 2}
 SHIPPED = Path(__file__).resolve().parents[1] / "lirs_extensions" / "bench" / "task_sets"
-DIFFICULTIES = (0.5, 0.75, 1.0)
-"""Of goals, in turn."""
-DRAWS = 200
-"""Starts and goals that are drawn for a task before a world counts as one that has none."""
-PACE = 0.8
-"""Speed from which time limits are made, m/s, or 0.8 x the robot's where that is less."""
-BLOCKED = 6.0
-"""Meters within which the way straight ahead of a start to map from is blocked."""
-NEAR_START = 0.4
-"""Radians between heading and goal, at least: straight ahead is no way to a goal."""
 
 
 def main() -> None:
@@ -159,10 +150,7 @@ def draw_set(name: str, data: Path | None) -> TaskSet:
         except SourceError:
             tasks += [task for task in task_set(name).tasks if task.world == plan.world]
             continue
-        world = plan.world.world(data)
-        first = 1000 * number
-        tasks += [draw_navigation(plan, world, first + k, k) for k in range(plan.navigation)]
-        tasks += [draw_mapping(plan, world, first + 500 + k) for k in range(plan.mapping)]
+        tasks += plan.draw(data, 1000 * number)
     if name == "generated":
         tasks += courses()
     return TaskSet(name=name, version=VERSIONS[name], tasks=tuple(tasks))
@@ -185,100 +173,6 @@ def courses() -> list[BenchTask]:
         for k, kind in enumerate(KINDS)
         for d, difficulty in enumerate(COURSE_DIFFICULTIES[split])
     ]
-
-
-def draw_navigation(plan: Plan, world: World, seed: int, k: int) -> BenchTask:
-    """Draw start and goal as the environment does, with a way between them that has room."""
-    difficulty = DIFFICULTIES[k % len(DIFFICULTIES)]
-    env = RobotEnv("navigation", world=world, robot=plan.robot, difficulty=difficulty)
-    areas = roomy_areas(world, plan.robot)
-    for draw in range(DRAWS):
-        try:
-            observation, info = env.reset(seed=seed + 10_000 * draw)
-        except SimulationError:
-            break
-        (x, y, yaw), (goal_x, goal_y) = rounded(info["T_world_base"]), rounded(info["goal"])
-        found = {area_at(*areas, x, y), area_at(*areas, goal_x, goal_y)}
-        if 0 in found or len(found) > 1 or abs(observation["goal"][1]) < NEAR_START:
-            continue
-        task = BenchTask(
-            name=f"{plan.split}-navigation-{plan.world.name}-{plan.robot}-{k}",
-            task="navigation",
-            split=plan.split,
-            robot=plan.robot,
-            seed=seed,
-            time_limit=plan.time_limit(20, 4 * info["shortest_path"]),
-            world=plan.world,
-            start=(x, y, yaw),
-            goal=(goal_x, goal_y),
-        )
-        if can_begin(env, task):
-            return task
-    raise SystemExit(f"{plan.world.name}: no start and goal for {plan.robot} in {DRAWS} draws")
-
-
-def draw_mapping(plan: Plan, world: World, seed: int) -> BenchTask:
-    """Draw a start with room around it and something in the way straight ahead."""
-    env = RobotEnv("mapping", world=world, robot=plan.robot)
-    grid, areas = roomy_areas(world, plan.robot)
-    site = env.episodes.stage.site
-    for draw in range(DRAWS):
-        _, info = env.reset(seed=seed + 10_000 * draw)
-        x, y, yaw = rounded(info["T_world_base"])
-        if not area_at(grid, areas, x, y) or free_ahead(grid, areas, x, y, yaw) > BLOCKED:
-            continue
-        reachable = float(site.reachable(site.area(x, y)).sum()) * 0.25**2
-        budget = 5.0 * round(2.5 * math.sqrt(reachable) / 5)
-        task = BenchTask(
-            name=f"{plan.split}-mapping-{plan.world.name}-{plan.robot}-{seed % 500}",
-            task="mapping",
-            split=plan.split,
-            robot=plan.robot,
-            seed=seed,
-            time_limit=plan.time_limit(30, 2 * budget),
-            world=plan.world,
-            start=(x, y, yaw),
-            path_budget=budget,
-        )
-        if can_begin(env, task):
-            return task
-    raise SystemExit(f"{plan.world.name}: no start for {plan.robot} in {DRAWS} draws")
-
-
-def can_begin(env: RobotEnv, task: BenchTask) -> bool:
-    """Return whether the environment takes the task's start and goal, which were rounded."""
-    try:
-        env.reset(seed=task.seed, options=reset_options(task))
-    except SimulationError:
-        return False
-    return True
-
-
-def roomy_areas(world: World, robot: str) -> tuple[OccupancyGrid, np.ndarray]:
-    """Return the grid on which the upper bound plans, and the numbers of its areas; 0 = not free."""
-    figures = make_robot(robot)
-    grid = world.traversable(clearance=figures.radius + CLEARANCE, max_slope=figures.max_slope)
-    _, areas = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
-    return grid, areas
-
-
-def area_at(grid: OccupancyGrid, areas: np.ndarray, x: float, y: float) -> int:
-    """Return the number of the area at a point."""
-    row, col = np.clip(grid.cells((x, y)), 0, np.array(areas.shape) - 1).tolist()
-    return int(areas[row, col])
-
-
-def free_ahead(grid: OccupancyGrid, areas: np.ndarray, x: float, y: float, yaw: float) -> float:
-    """Return the meters that lie free straight ahead."""
-    for distance in np.arange(0.0, 2 * BLOCKED, 0.1).tolist():
-        if not area_at(grid, areas, x + distance * math.cos(yaw), y + distance * math.sin(yaw)):
-            return float(distance)
-    return math.inf
-
-
-def rounded(values: np.ndarray) -> tuple[float, ...]:
-    """Return numbers with three digits."""
-    return tuple(round(float(value), 3) for value in values)
 
 
 def as_text(entry: dict[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -49,12 +50,10 @@ def test_150_generated_indoor_tasks_tell_policies_apart() -> None:
 
 def test_drawing_again_gives_the_same_tasks(script: ModuleType) -> None:
     number, plan = next((k, p) for k, p in enumerate(script.PLANS["indoor"]()) if p.split == "validation")
-    world = plan.world.world(None)
     shipped = {task.name: task for task in task_set("indoor").tasks}
-    navigation = script.draw_navigation(plan, world, 1000 * number, 0)
-    mapping = script.draw_mapping(plan, world, 1000 * number + 500)
-    assert same(navigation, shipped[navigation.name])
-    assert same(mapping, shipped[mapping.name])
+    drawn = replace(plan, navigation=2, mapping=1).draw(None, 1000 * number)
+    assert [task.task for task in drawn] == ["navigation", "navigation", "mapping"]
+    assert all(same(task, shipped[task.name]) for task in drawn)
 
 
 def same(drawn: BenchTask, shipped: BenchTask) -> bool:

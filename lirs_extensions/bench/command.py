@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
-from lirs_validation.cli.progress import command_line, note, out, run_sweep, say
-from lirs_validation.config import EngineOptions
-from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
-from lirs_wct.option import Options, argument, option, read_pairs
+from lirs_validation.cli.command import SOURCE_HELP, common, complete_source, map_logs
+from lirs_validation.cli.progress import command_line, note, out, progress_bar, run_sweep, say
+from lirs_validation.config import EngineOptions, World
+from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError, unknown_name, within
+from lirs_wct.option import Options, argument, changed, option, read_names, read_pairs
 
 if TYPE_CHECKING:
     from lirs_extensions.bench.policies import PolicyChoice
@@ -21,42 +22,90 @@ POLICY_HELP = (
     "module:name of your own: a class or function that makes something with reset(info) and "
     "act(observation) -> action."
 )
+DRAWN = ("navigation", "mapping")
+"""Tasks that are drawn; `traverse` has courses of its own."""
 MAX_LISTED = 3
 """Episodes in which a policy failed that are named one by one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchCommand(Options):
-    """Policies, tasks and results of `bench`."""
+    """Policies and results of `bench`."""
 
-    policies: tuple[str, ...] = argument(POLICY_HELP, "POLICIES...")
-    set: str = option("lirs", "Set of tasks.", metavar="indoor|hills|lirs|generated|FILE.json")
+    policies: tuple[str, ...] = argument(POLICY_HELP, "POLICIES...", default=())
     task: str = option("navigation", "Task.", metavar="navigation|mapping|traverse")
+    parameters: str = option("", "Keywords for your own policy.", metavar="NAME=VALUE,...")
+    pictures: bool = option(False, "Write a map with the path of each episode.")
+    output: Path = option(Path("out"), "Folder for the episodes' folders and the scores.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetOptions(Options):
+    """Tasks of a set."""
+
+    set: str = option("lirs", "Set of tasks.", metavar="indoor|hills|lirs|generated|FILE.json")
     split: str = option("test", "Which part of the set.", metavar="train|validation|test|all")
     data: Path | None = option(
         None, "Folder with the maps and pictures that do not ship; found by their content.", metavar="FOLDER"
     )
-    parameters: str = option("", "Keywords for your own policy.", metavar="NAME=VALUE,...")
-    pictures: bool = option(False, "Write a map with the path of each episode.")
-    output: Path = option(Path("out"), "Folder for the episodes' folders and scores.json.")
 
 
-def bench(options: BenchCommand, engine: EngineOptions) -> None:
-    """Score policies on fixed tasks, and compare them with earlier ones in the folder.
+@dataclass(frozen=True, kw_only=True)
+class WorldOptions(Options):
+    """Tasks that are drawn in a user's worlds."""
+
+    world: tuple[str, ...] = option(
+        (),
+        f"Draw tasks in your own worlds: {SOURCE_HELP}",
+        metavar="SOURCE...",
+        reader=lambda text, label: (text,) if Path(text).exists() else read_names(text, label),
+        complete=complete_source,
+    )
+    robot: str = option("jackal", "Robot in these worlds.")
+    tasks: int = option(10, "Tasks in each of these worlds.", check=within("[1, 1000]"))
+    seed: int = option(1, "Seed of these tasks.", check=within("[0, 1000]"))
+
+
+@common("world", "robot", "tasks", "seed", "task", "set", "split", "data", "output", "pictures", "jobs")
+def bench(
+    options: BenchCommand,
+    of_set: Annotated[dict[str, Any], SetOptions],
+    of_world: Annotated[dict[str, Any], WorldOptions],
+    engine: EngineOptions,
+    build: World,
+) -> None:
+    """Score policies on tasks in your worlds or of a set, and compare them with earlier ones in the folder.
 
     Differences are paired, from the first policy. The same command resumes an interrupted run.
 
     Examples:
+    lirs-wct bench pretrained my_policy:MyPolicy --world map.yaml office.yaml --robot jackal -o out/
     lirs-wct bench straight go_to_goal astar --set lirs --task navigation -o out/
-    lirs-wct bench my_policy:MyPolicy --set hills -o out/
     """
+    from lirs_extensions.bench.drawing import draw_set, find_world
     from lirs_extensions.bench.episode import EpisodeTask
+    from lirs_extensions.bench.policies import DEFAULTS
     from lirs_extensions.bench.tasks import task_set
     from lirs_validation.sweep.sweep import Sweep
 
-    tasks, data, output = task_set(options.set), options.data, options.output
-    chosen = _with_sources(tasks.chosen(options.task, options.split), data)
-    choices = _read_policies(options.policies, options.parameters, chosen[0], data)
+    task, output, data = options.task, options.output, of_set.get("data")
+    names, worlds = _split_words(options.policies, of_world.get("world", ()))
+    if worlds:
+        if task not in DRAWN:
+            raise unknown_name("--task in worlds of your own", task, DRAWN)
+        _refuse(of_set, "for tasks of a set; --world draws its own")
+        given = WorldOptions(**of_world)
+        sources, build = map_logs(worlds, build, output)
+        with progress_bar("tasks") as progress:
+            places = [find_world(source, build) for source in sources]
+            tasks = draw_set(places, task, given.robot, given.tasks, given.seed, progress)
+        chosen = [*tasks.tasks]
+    else:
+        _refuse(of_world | changed(build), "for --world, which is not given")
+        part = SetOptions(**of_set)
+        tasks = task_set(part.set)
+        chosen = _with_sources(tasks.chosen(task, part.split), data)
+    choices = _read_policies(names or DEFAULTS[task], options.parameters, chosen[0], data)
     episodes = [
         EpisodeTask(
             set_name=tasks.name,
@@ -75,7 +124,29 @@ def bench(options: BenchCommand, engine: EngineOptions) -> None:
     except OutputError:
         raise
     except WctError as error:  # a start or a goal of the set
-        raise SourceError(f"{options.set}: {error}") from error
+        raise SourceError(f"{tasks.name}: {error}") from error
+
+
+def _split_words(words: Sequence[str], worlds: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
+    """Return policies and worlds; after `--world`, words that name no policy are worlds too."""
+    from lirs_extensions.bench.policies import BASELINES
+    from lirs_wct.sources.bundled import RECIPES
+
+    if not worlds:
+        return words, worlds
+    policies = [word for word in words if word in BASELINES or ":" in word]
+    others = [word for word in words if word not in policies]
+    for word in others:
+        if word not in RECIPES and not Path(word).exists():
+            raise unknown_name("policy or world", word, [*BASELINES, "module:name of your own", "a file"])
+    return policies, [*worlds, *others]
+
+
+def _refuse(given: Mapping[str, Any], reason: str) -> None:
+    """Raise ConfigError if there are given options."""
+    flags = [f"--{name.replace('_', '-')}" for name in given]
+    if flags:
+        raise ConfigError(f"{', '.join(flags)}: {reason}")
 
 
 def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTask]:
@@ -124,18 +195,16 @@ def _show(
 ) -> None:
     """Print the scores of the policies and the table of all, and write them."""
     from lirs_extensions.bench.results import (
+        answer_line,
         bench_table,
         difference_line,
         read_results,
-        score_line,
         write_scores,
     )
 
     results = read_results(output, tasks, chosen)
     if not results:
         return
-    task, splits = chosen[0].task, {each.split for each in chosen}
-    split = splits.pop() if len(splits) == 1 else "all"
     for result in results:
         if result.policy in policies:
             failed = {name: entry for name, entry in result.episodes.items() if entry["status"] != "ok"}
@@ -143,15 +212,31 @@ def _show(
                 note(f"{result.policy.label} failed on {name}: {entry['reason']}", style="red")
             if len(failed) > MAX_LISTED:
                 note(f"... and on {len(failed) - MAX_LISTED} other tasks", style="red")
+    task = chosen[0].task
     out.print(bench_table(results, task))
-    path = output / f"scores-{tasks.name}-{task}-{split}.json"
-    about = {"set": tasks.name, "version": tasks.version, "task": task, "split": split}
+    stem, about, places = _describe(tasks, chosen)
+    path = output / f"scores-{stem}.json"
     write_scores(path, results, about)
-    for result in results:
-        if result.policy in policies:
-            counted = f"{result.score.count} of {len(chosen)} {task} tasks of {tasks.name} ({split})"
-            say(score_line(result, counted))
+    say(path)
     own = [result for policy in policies for result in results if result.policy == policy]
     for other in own[1:]:
         say(difference_line(other, own[0]))
-    say(path)
+    for where, held in places.items():
+        say(answer_line(own, held, where))
+
+
+def _describe(
+    tasks: TaskSet, chosen: Sequence[BenchTask]
+) -> tuple[str, dict[str, object], dict[str, Sequence[BenchTask]]]:
+    """Return the name of the file of scores, its entries about the tasks, and the tasks of each place."""
+    from lirs_extensions.bench.drawing import OwnWorld
+
+    task, splits = chosen[0].task, {each.split for each in chosen}
+    worlds = list(dict.fromkeys(each.world for each in chosen if isinstance(each.world, OwnWorld)))
+    if not worlds:
+        split = splits.pop() if len(splits) == 1 else "all"
+        about = {"set": tasks.name, "version": tasks.version, "task": task, "split": split}
+        return f"{tasks.name}-{task}-{split}", about, {f"{tasks.name} ({split})": chosen}
+    places = {world.name: [each for each in chosen if each.world == world] for world in worlds}
+    total = {f"{len(worlds)} worlds": chosen} if len(worlds) > 1 else {}
+    return task, {"task": task, "worlds": [world.describe() for world in worlds]}, {**places, **total}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -275,6 +275,12 @@ BASELINES: Mapping[str, Baseline] = {
     UPPER_BOUND: Baseline(OnTrueMap),
 }
 """Policies of this package by name."""
+DEFAULTS: Mapping[str, Sequence[str]] = {
+    "navigation": ("pretrained", "go_to_goal", UPPER_BOUND),
+    "mapping": ("frontier", "straight", UPPER_BOUND),
+    "traverse": ("go_to_goal", "straight", UPPER_BOUND),
+}
+"""Policies of a command that names none, by task."""
 
 
 @dataclass(frozen=True)

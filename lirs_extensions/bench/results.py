@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,7 +115,7 @@ def read_results(out: Path, tasks: TaskSet, chosen: Sequence[BenchTask]) -> list
 
     Episodes of other code, of another version of the set, or of a task that has changed are left out.
     """
-    described = {task.name: task.describe() for task in chosen}
+    described = {task.name: json.loads(json.dumps(task.describe())) for task in chosen}
     found: dict[PolicyChoice, dict[str, dict[str, Any]]] = {}
     for path in sorted(out.glob(f"{tasks.name}-*/{RECORD}")):
         try:
@@ -123,7 +124,7 @@ def read_results(out: Path, tasks: TaskSet, chosen: Sequence[BenchTask]) -> list
             continue
         name = entry["task"]["name"]
         same_set = (entry["set"], entry["set_version"]) == (tasks.name, tasks.version)
-        if same_set and same_code(entry["versions"]) and described.get(name) == as_read(entry["task"]):
+        if same_set and same_code(entry["versions"]) and described.get(name) == entry["task"]:
             policy = PolicyChoice(entry["policy"], tuple(sorted(entry["arguments"].items())))
             found.setdefault(policy, {})[name] = entry
     results = []
@@ -132,11 +133,6 @@ def read_results(out: Path, tasks: TaskSet, chosen: Sequence[BenchTask]) -> list
         assert score is not None, "there is an episode"
         results.append(PolicyResult(policy=policy, score=score, episodes=episodes))
     return sorted(results, key=lambda result: -result.score.mean)
-
-
-def as_read(task: dict[str, Any]) -> dict[str, Any]:
-    """Return a described task of a record, whose tuples JSON made lists."""
-    return {key: tuple(value) if key in ("start", "goal") else value for key, value in task.items()}
 
 
 MEASURES = {
@@ -148,11 +144,21 @@ MEASURES = {
 HEADINGS = ("policy", "score", "95 %", "success", "collision", "failed", "of astar", "tasks")
 
 
-def score_line(result: PolicyResult, tasks: str) -> str:
-    """Return a policy's score in one line that ends with `tasks`."""
-    score = result.score
-    ends = "" if score.low is None else f" [{interval(score)}]"
-    return f"{result.policy.label}: {score.mean:.3f}{ends}, {tasks}"
+def answer_line(results: Sequence[PolicyResult], tasks: Sequence[BenchTask], where: str) -> str:
+    """Return the goals that each policy reached in some tasks, or its coverage, in one sentence."""
+    names, parts = {task.name for task in tasks}, list[str]()
+    for result in results:
+        metrics = [entry["metrics"] for name, entry in result.episodes.items() if name in names]
+        if tasks[0].task == "mapping":
+            covered = sum(each.get("coverage", 0.0) for each in metrics) / max(len(metrics), 1)
+            value = f"{100 * covered:.0f} %"
+            text = f"covers {value} of the ground in {where};"
+        else:
+            value, count = str(sum(each["success"] for each in metrics)), len(metrics)
+            text = f"reaches {value} of {count} goals in {where};"
+            value += "" if count == len(tasks) else f" of {count}"
+        parts.append(f"{result.policy.label} {value if parts else text}")
+    return f"{parts[0]} {', '.join(parts[1:])}".rstrip("; ") + "."
 
 
 def difference_line(result: PolicyResult, other: PolicyResult) -> str:

@@ -62,8 +62,8 @@ def test_a_policy_has_one_score_beside_what_ran_before(bench: Any, tmp_path: Pat
     assert code == 0
     first = json.loads((tmp_path / "out" / "scores-mine-navigation-test.json").read_text())["policies"][0]
     score = first["score"]
-    line = f"straight: {score['mean']:.3f} [{score['low']:.3f}, {score['high']:.3f}]"
-    assert f"{line}, 2 of 2 navigation tasks of mine (test)" in said
+    assert f" straight  {score['mean']:.3f}  {score['low']:.3f}, {score['high']:.3f} " in said
+    assert said.endswith("straight reaches 1 of 2 goals in mine (test).\n")
     assert score["mean"] == sum(first["tasks"].values()) / 2
     assert "skipped 1 tasks in depot: no --data folder is given: some/where/depot.yaml (sha256 abab" in told
     pictures = sorted((tmp_path / "out").glob("*/episode.png"))
@@ -97,7 +97,7 @@ def test_the_same_command_runs_nothing_twice_and_a_cut_off_record_again(bench: A
     assert "kept 1 of 2 from before; 1 to run" in told
     assert records[0].stat().st_mtime_ns > before[records[0]]
     assert records[1].stat().st_mtime_ns == before[records[1]]
-    assert "2 of 2" in said
+    assert "straight reaches 1 of 2 goals in mine (test)." in said
 
 
 def test_a_policy_that_fails_costs_its_own_episode(bench: Any, tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_a_policy_that_fails_costs_its_own_episode(bench: Any, tmp_path: Path) -
     }
     assert entries["ahead"]["metrics"]["score"] > 0.8
     assert entries["behind"]["metrics"]["score"] == 0.0
-    assert "2 of 2 navigation tasks" in said
+    assert "my_policies:NotBehind reaches 1 of 2 goals in mine (test)." in said
     (trace,) = (tmp_path / "out").glob("*/error.txt")
     assert "my_policies.py" in trace.read_text()
     # Mended, it is run again without being asked for.
