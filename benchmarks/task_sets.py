@@ -16,7 +16,7 @@ from typing import Any
 
 from benchmarks.steps import arguments
 from lirs_envs.generators.terrain import KINDS
-from lirs_extensions.bench.drawing import Drawing
+from lirs_extensions.bench.drawing import TaskDrawing
 from lirs_extensions.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, WorldSpec, set_entry, task_set
 from lirs_validation.driving.choice import CLEARANCE
 from lirs_wct.errors import SourceError
@@ -40,7 +40,9 @@ class Plan:
             ("mapping", self.mapping, first + 500),
         ):
             if count:
-                drawing = Drawing(self.world, world, task, self.robot, split=self.split, margins=(CLEARANCE,))
+                drawing = TaskDrawing(
+                    self.world, world, task, self.robot, split=self.split, margins=(CLEARANCE,)
+                )
                 name = f"{self.split}-{task}-{self.world.name}-{self.robot}"
                 tasks += [drawing.draw(f"{name}-{k}", seed + k, k) for k in range(count)]
         return tasks

@@ -100,7 +100,7 @@ def draw_set(
         sources[place.name] = place.source
     for place in worlds:
         try:
-            drawing = Drawing(place, place.world(None), task, robot)
+            drawing = TaskDrawing(place, place.world(None), task, robot)
             for k in range(count):
                 progress(f"drawing for {place.name}", len(tasks) / (count * len(worlds)))
                 name = f"{place.name}-{robot}-seed{seed}-{k}"
@@ -114,7 +114,7 @@ def draw_set(
     return TaskSet(name=task, version=VERSION, tasks=tuple(tasks))
 
 
-class Drawing:
+class TaskDrawing:
     """Tasks of one kind for a robot in a world.
 
     Start and goal are connected with the largest margin that leaves half of the ground connected.
