@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +15,7 @@ from lirs_wct.option import Options, argument, changed, option, read_names, read
 
 if TYPE_CHECKING:
     from lirs_extensions.bench.policies import PolicyChoice
-    from lirs_extensions.bench.tasks import BenchTask, TaskSet
+    from lirs_extensions.bench.tasks import BenchTask, TaskSet, WorldSpec
 
 POLICY_HELP = (
     "random, straight, go_to_goal, pretrained, frontier, astar (the true map: the upper bound), or "
@@ -74,22 +74,24 @@ def bench(
     engine: EngineOptions,
     build: World,
 ) -> None:
-    """Score policies on tasks in your worlds or of a set, and compare them with earlier ones in the folder.
+    """Score policies on tasks in your worlds or of a set.
 
-    Differences are paired, from the first policy. The same command resumes an interrupted run.
+    Earlier ones in the folder stand beside them. Differences are paired, from the first policy.
+    The same command resumes an interrupted run.
 
     Examples:
     lirs-wct bench pretrained my_policy:MyPolicy --world map.yaml office.yaml --robot jackal -o out/
     lirs-wct bench straight go_to_goal astar --set lirs --task navigation -o out/
     """
-    from lirs_extensions.bench.drawing import draw_set, find_world
+    from lirs_extensions.bench.drawing import draw_set, find_worlds
     from lirs_extensions.bench.episode import EpisodeTask
-    from lirs_extensions.bench.policies import DEFAULTS
+    from lirs_extensions.bench.policies import BASELINES, DEFAULTS
     from lirs_extensions.bench.tasks import task_set
     from lirs_validation.sweep.sweep import Sweep
 
+    places: Sequence[WorldSpec] = ()
     task, output, data = options.task, options.output, of_set.get("data")
-    names, worlds = _split_words(options.policies, of_world.get("world", ()))
+    names, worlds = _split_words(options.policies, of_world.get("world", ()), BASELINES)
     if worlds:
         if task not in DRAWN:
             raise unknown_name("--task in worlds of your own", task, DRAWN)
@@ -97,7 +99,7 @@ def bench(
         given = WorldOptions(**of_world)
         sources, build = map_logs(worlds, build, output)
         with progress_bar("tasks") as progress:
-            places = [find_world(source, build) for source in sources]
+            places = find_worlds(sources, build)
             tasks = draw_set(places, task, given.robot, given.tasks, given.seed, progress)
         chosen = [*tasks.tasks]
     else:
@@ -120,25 +122,24 @@ def bench(
     ]
     sweep = Sweep(episodes, output, command=command_line(), retry_failed=engine.retry_failed)
     try:
-        run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices))
+        run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices, places))
     except OutputError:
         raise
     except WctError as error:  # a start or a goal of the set
         raise SourceError(f"{tasks.name}: {error}") from error
 
 
-def _split_words(words: Sequence[str], worlds: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
+def _split_words(
+    words: Sequence[str], worlds: Sequence[str], baselines: Collection[str]
+) -> tuple[Sequence[str], Sequence[str]]:
     """Return policies and worlds; after `--world`, words that name no policy are worlds too."""
-    from lirs_extensions.bench.policies import BASELINES
-    from lirs_wct.sources.bundled import RECIPES
-
     if not worlds:
         return words, worlds
-    policies = [word for word in words if word in BASELINES or ":" in word]
+    policies = [word for word in words if word in baselines or ":" in word]
     others = [word for word in words if word not in policies]
     for word in others:
-        if word not in RECIPES and not Path(word).exists():
-            raise unknown_name("policy or world", word, [*BASELINES, "module:name of your own", "a file"])
+        if not Path(word).exists() and word not in complete_source(word):
+            raise unknown_name("policy or world", word, [*baselines, "module:name of your own", "a file"])
     return policies, [*worlds, *others]
 
 
@@ -191,7 +192,11 @@ def _read_policies(
 
 
 def _show(
-    output: Path, tasks: TaskSet, chosen: Sequence[BenchTask], policies: Sequence[PolicyChoice]
+    output: Path,
+    tasks: TaskSet,
+    chosen: Sequence[BenchTask],
+    policies: Sequence[PolicyChoice],
+    worlds: Sequence[WorldSpec],
 ) -> None:
     """Print the scores of the policies and the table of all, and write them."""
     from lirs_extensions.bench.results import (
@@ -214,7 +219,7 @@ def _show(
                 note(f"... and on {len(failed) - MAX_LISTED} other tasks", style="red")
     task = chosen[0].task
     out.print(bench_table(results, task))
-    stem, about, places = _describe(tasks, chosen)
+    stem, about, places = _describe(tasks, chosen, worlds)
     path = output / f"scores-{stem}.json"
     write_scores(path, results, about)
     say(path)
@@ -226,13 +231,10 @@ def _show(
 
 
 def _describe(
-    tasks: TaskSet, chosen: Sequence[BenchTask]
+    tasks: TaskSet, chosen: Sequence[BenchTask], worlds: Sequence[WorldSpec]
 ) -> tuple[str, dict[str, object], dict[str, Sequence[BenchTask]]]:
-    """Return the name of the file of scores, its entries about the tasks, and the tasks of each place."""
-    from lirs_extensions.bench.drawing import OwnWorld
-
+    """Return name of the scores' file, its entries about tasks, and tasks by place."""
     task, splits = chosen[0].task, {each.split for each in chosen}
-    worlds = list(dict.fromkeys(each.world for each in chosen if isinstance(each.world, OwnWorld)))
     if not worlds:
         split = splits.pop() if len(splits) == 1 else "all"
         about = {"set": tasks.name, "version": tasks.version, "task": task, "split": split}

@@ -1,10 +1,9 @@
-"""Drawing of tasks: starts and goals with room for a robot, in worlds of sets and of users."""
+"""Drawing of tasks: starts and goals with room for a robot."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,18 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_envs.env import RobotEnv
-from lirs_envs.robots.robot import make_robot
 from lirs_envs.tasks.site import SEEN_CELL
-from lirs_extensions.bench.episode import reset_options
 from lirs_extensions.bench.policies import MARGINS
 from lirs_extensions.bench.tasks import BenchTask, TaskSet, WorldSpec
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.scenario import build_scenario
-from lirs_validation.record.run_record import source_files
-from lirs_wct import BuildOptions, FloatArray, IntArray, World
-from lirs_wct.errors import ConfigError, SimulationError, SourceError
-from lirs_wct.option import digest_fields
-from lirs_wct.progress import Progress, no_progress
+from lirs_validation.experiment.scenario import Scenario, build_scenario
+from lirs_wct import BuildOptions, ConfigError, FloatArray, IntArray, SimulationError, SourceError, World
 
 VERSION = 1
 """Version of the drawing in a user's worlds."""
@@ -61,36 +54,45 @@ class OwnWorld(WorldSpec):
 
     def world(self, data: Path | None) -> World:
         """Build the world, or return it from memory."""
-        return _build(self.source, self.build, self.content)
+        return _scenario(self.source, self.build).world
 
     def describe(self) -> dict[str, Any]:
         """Return what decides the world, as JSON."""
-        build = json.loads(json.dumps(digest_fields(self.build), default=str))
+        usual = vars(BuildOptions())
+        build = {name: str(value) for name, value in vars(self.build).items() if value != usual[name]}
         return {"maker": self.maker, "name": self.name, "sha256": [*self.content], "build": build}
 
 
 @lru_cache(maxsize=4)
-def _build(source: str, build: BuildOptions, content: tuple[str, ...]) -> World:
-    return build_scenario(RunConfig(source=source, build=build)).world
+def _scenario(source: str, build: BuildOptions) -> Scenario:
+    return build_scenario(RunConfig(source=source, build=build))
 
 
-def find_world(source: str, build: BuildOptions) -> OwnWorld:
-    """Build the world of a source; of a terrain larger than 200 m, a window of 50 m."""
-    files = source_files(RunConfig(source=source, build=build))
-    content = tuple(file["sha256"] for file in files)
-    name = _build(source, build, content).name
-    return OwnWorld(name=name, maker="source", source=source, build=build, content=content)
+def find_worlds(sources: Sequence[str], build: BuildOptions) -> list[OwnWorld]:
+    """Build worlds of sources; of a terrain over 200 m, a window of 50 m."""
+    _scenario.cache_clear()  # files may have changed
+    worlds = []
+    for source in sources:
+        found = _scenario(source, build)
+        content = tuple(file["sha256"] for file in found.files)
+        name = found.world.name
+        worlds.append(OwnWorld(name=name, maker="source", source=source, build=build, content=content))
+    return worlds
 
 
 def draw_set(
-    worlds: Sequence[OwnWorld], task: str, robot: str, count: int, seed: int, progress: Progress = no_progress
+    worlds: Sequence[OwnWorld],
+    task: str,
+    robot: str,
+    count: int,
+    seed: int,
+    progress: Callable[[str, float], None] = lambda step, share: None,
 ) -> TaskSet:
     """Draw tasks in each world; the same seed draws the same tasks.
 
     Raises:
         SourceError: a world has no room for the robot, or two worlds have one name.
     """
-    figures = make_robot(robot)
     tasks: list[BenchTask] = []
     sources: dict[str, str] = {}
     for place in worlds:
@@ -106,10 +108,8 @@ def draw_set(
                 name = f"{place.name}-{robot}-seed{seed}-{k}"
                 tasks.append(drawing.draw(name, 2 * DRAWS * STRIDE * seed + k, k))
         except (SimulationError, ConfigError) as error:
-            wide, steep = 2 * figures.radius, math.degrees(figures.max_slope)
             raise SourceError(
-                f"{place.source}: {error}; a {robot} needs ground {wide:.1f} m wide and at most {steep:.0f} "
-                "degrees steep: try another --robot, --window, --size, --height or --resolution"
+                f"{place.source}: {error}; try another --robot, --window, --size, --height or --resolution"
             ) from error
     return TaskSet(name=task, version=VERSION, tasks=tuple(tasks))
 
@@ -133,9 +133,9 @@ class TaskDrawing:
         split: str = "test",
         margins: Sequence[float] = MARGINS,
     ) -> None:
-        self._place, self._task, self._robot, self._split = place, task, make_robot(robot), split
+        self._place, self._task, self._split = place, task, split
         self._env = RobotEnv(task, world=world, robot=robot)
-        site = self._env.episodes.stage.site
+        site, self._robot = self._env.episodes.stage.site, self._env.episodes.stage.simulation.robot
         whole = np.count_nonzero(site.areas == site.largest) * site.grid.resolution**2
         for margin in margins:
             clearance = self._robot.radius + margin
@@ -160,8 +160,8 @@ class TaskDrawing:
             observation, info = env.reset(seed=seed + STRIDE * number)
             x, y, yaw = _rounded(info["T_world_base"])
             start = (x, y, yaw)
-            found = self._to_goal(start, observation, info) if "goal" in info else self._to_map(start)
-            if found is None:
+            more = self._to_goal(start, observation, info) if "goal" in info else self._to_map(start)
+            if more is None:
                 continue
             task = BenchTask(
                 name=name,
@@ -171,13 +171,18 @@ class TaskDrawing:
                 seed=seed,
                 world=self._place,
                 start=start,
-                **found,
+                **more,
             )
+            options = {"start": start} | ({"goal": more["goal"]} if "goal" in more else {})
             with suppress(SimulationError):  # start and goal were rounded
-                env.reset(seed=seed, options=reset_options(task))
+                env.reset(seed=seed, options=options)
                 return task
         ends = "start and goal" if self._task == "navigation" else "start with an obstacle ahead"
-        raise SimulationError(f"no {ends} with room found in {2 * DRAWS} draws")
+        wide, steep = 2 * self._robot.radius, math.degrees(self._robot.max_slope)
+        raise SimulationError(
+            f"no {ends} in {2 * DRAWS} draws for a {self._robot.name}: "
+            f"{wide:.1f} m wide, slopes up to {steep:.0f} degrees"
+        )
 
     def _to_goal(
         self, start: tuple[float, float, float], observation: Mapping[str, Any], info: Mapping[str, Any]

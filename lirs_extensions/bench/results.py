@@ -145,7 +145,7 @@ HEADINGS = ("policy", "score", "95 %", "success", "collision", "failed", "of ast
 
 
 def answer_line(results: Sequence[PolicyResult], tasks: Sequence[BenchTask], where: str) -> str:
-    """Return the goals that each policy reached in some tasks, or its coverage, in one sentence."""
+    """Return in one sentence each policy's reached goals or coverage in some tasks."""
     names, parts = {task.name for task in tasks}, list[str]()
     for result in results:
         metrics = [entry["metrics"] for name, entry in result.episodes.items() if name in names]

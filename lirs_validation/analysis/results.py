@@ -17,11 +17,10 @@ from lirs_validation.record.metric_catalog import Entry
 from lirs_validation.record.run_record import RECORD, read_record, schema_error, source_files
 from lirs_validation.sweep.sweep import MANIFEST, read_status
 from lirs_validation.sweep.tasks import STATUS, read_verdict
-from lirs_wct import ConfigError, Imu, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
+from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
 from lirs_wct.errors import reason_of
 from lirs_wct.formats import carmen_log, drive_files
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.sources.source import BuildOptions
 from lirs_wct.world import TEXTURE_OPTIONS
 from slam_baselines.front_end import KnownPoseMapper
 

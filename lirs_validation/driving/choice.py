@@ -20,8 +20,7 @@ from lirs_validation.driving.path_driver import DriverConfig, Frame, PathDriver
 from lirs_validation.driving.paths import PursuitConfig, area_round
 from lirs_validation.driving.routes import TourRoute, WaypointRoute, check_waypoints
 from lirs_validation.record.run_record import read_record
-from lirs_wct import ConfigError, LaserScan, OccupancyGrid, Pose2, SourceError, World
-from lirs_wct.arrays import FloatArray
+from lirs_wct import ConfigError, FloatArray, LaserScan, OccupancyGrid, Pose2, SourceError, World
 from lirs_wct.formats.drive_files import Commands, RoutePoint, read_commands, read_waypoints
 from lirs_wct.sources.source import read_point
 

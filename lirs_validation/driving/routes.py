@@ -33,8 +33,7 @@ from lirs_validation.driving.paths import (
     smooth_path,
     speed_profile,
 )
-from lirs_wct import HeightField, OccupancyGrid, Pose2, SourceError
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct import BoolArray, FloatArray, HeightField, IntArray, OccupancyGrid, Pose2, SourceError
 from lirs_wct.formats.drive_files import RoutePoint
 from lirs_wct.geometry import wrap_angles
 from lirs_wct.navigation import nearest_place

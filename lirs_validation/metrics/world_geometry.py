@@ -12,8 +12,7 @@ from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
 from lirs_envs.lidar.ray_casting import Caster, MeshCaster, RayCaster
 from lirs_envs.robots.robot import Robot
 from lirs_validation.metrics.map import count_hits
-from lirs_wct import Pose2, Pose3, TriangleMesh, World
-from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct import BoolArray, FloatArray, Pose2, Pose3, TriangleMesh, World
 from lirs_wct.geometry.mesh import rasterize_heights
 
 POSES = 300

@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from lirs_envs.robots.robot import make_robot
-from lirs_extensions.bench.drawing import NEAR_START, draw_set, find_world
+from lirs_extensions.bench.drawing import NEAR_START, draw_set, find_worlds
 from lirs_extensions.bench.episode import RECORD
 from lirs_extensions.bench.tasks import BenchTask
 from lirs_wct import BuildOptions
@@ -42,7 +42,7 @@ def write_map(path: Path, cells: np.ndarray) -> str:
 
 
 def draw(source: str, count: int, seed: int = 1, robot: str = ROBOT) -> tuple[BenchTask, ...]:
-    return draw_set([find_world(source, BuildOptions())], "navigation", robot, count, seed).tasks
+    return draw_set(find_worlds([source], BuildOptions()), "navigation", robot, count, seed).tasks
 
 
 @pytest.mark.parametrize(("door", "room"), [(1.0, 0.15), (0.5, 0.05)])
@@ -76,9 +76,7 @@ def test_a_seed_draws_its_tasks(tmp_path: Path) -> None:
 
 def test_a_world_without_room_names_robot_and_ground(tmp_path: Path) -> None:
     source = write_map(tmp_path / "flat.yaml", plan()[:20, :20])
-    with refused(
-        source, "husky is 1.16 m wide: too large .*; a husky needs ground 1.2 m wide and at most 25"
-    ):
+    with refused(source, "husky is 1.16 m wide: too large .*; try another --robot"):
         draw(source, 1, robot="husky")
 
 
@@ -170,7 +168,7 @@ def test_a_mapping_policy_covers_ground(bench: Any, tmp_path: Path) -> None:
         ("straight --robot husky --size 3", "--robot, --size: for --world, which is not given"),
         ("--world attic.yaml", "attic.yaml: no such file or folder"),
         ("pretraned --world flat.yaml", "unknown policy or world 'pretraned'"),
-        ("--world cell.yaml", "that were drawn can be used; a jackal needs ground 0.6 m wide"),
+        ("--world cell.yaml", "that were drawn can be used; try another --robot, --window"),
         ("--world flat.yaml --tasks 0", "tasks must be within [1, 1000], got 0"),
         ("--world flat.yaml --robot huksy", "unknown robot 'huksy'"),
         (
