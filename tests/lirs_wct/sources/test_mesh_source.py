@@ -271,7 +271,8 @@ def test_millimeters_are_suspected_in_any_file(tmp_path: Path) -> None:
     ):
         path = tmp_path / f"house.{suffix}"
         trimesh.creation.box(size).export(path)
-        assert any("if it is the millimeter" in line for line in built(path)[1]) == told, size
+        lines = built(path, resolution=size[0] / 64)[1]
+        assert any("if it is the millimeter" in line for line in lines) == told, size
     assert not any("give --scale" in line for line in built(path, scale=(0.001, 0.001, 0.001))[1])
 
 
