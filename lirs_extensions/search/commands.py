@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -153,4 +154,6 @@ def twin(options: TwinCommand, given: Annotated[dict[str, Any], MapConfig]) -> N
             command=command_line(),
             progress=progress,
         )
-    _show(*result.sentences, folder / "twin.html")
+    _show(folder / "twin.html", *result.sentences)
+    words = ("validate", "medium", "--noise", str(folder / "noise.yaml"), "-o", str(options.output))
+    _show(f"next: {shlex.join(('lirs-wct', *words))}")

@@ -124,15 +124,13 @@ class Replay:
 
     @property
     def sentence(self) -> str:
-        """The result in one sentence."""
-        if not self.pairs:
-            return "No mapper could be compared on the log and on its simulation."
-        agree = sum(m.agrees for m in self.pairs)
-        order = "" if self.tau is None else f"; Kendall's tau of their order is {self.tau:.2f}"
-        return (
-            f"Errors of {agree} of {len(self.pairs)} mappers on the log and on its simulation agree "
-            f"within a factor of {FACTOR:g}{order}."
-        )
+        """Mappers whose verdicts from the simulation can be trusted, in one sentence."""
+        near = ", ".join(m.mapper for m in self.pairs if m.agrees)
+        far = ", ".join(f"{m.mapper} ({m.ratio:.2g} x the log's)" for m in self.pairs if not m.agrees)
+        enough = f"close enough to trust a verdict on {near}: errors agree within a factor of {FACTOR:g}"
+        but = f"{'; but not on ' if near else 'not close enough to trust a verdict on '}{far}" if far else ""
+        found = f"{enough if near else ''}{but}" or "not yet known to be close enough: no mapper was compared"
+        return f"The simulation of this lidar is {found}."
 
     def figures(self) -> dict[str, Any]:
         """Return all figures, for JSON."""

@@ -56,6 +56,8 @@ repetitions of a pose may be gaps of the odometry."""
 
 LIMIT = 0.1
 """Largest residual that the picture shows, meters."""
+NEGLIGIBLE = 1e-3
+"""Share, meters or radians that are added before log and simulation are compared: less does not count."""
 
 
 def run_twin(
@@ -207,15 +209,34 @@ class TwinResult:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The result in a sentence each: noise, distributions, mappers."""
+        """The result in a sentence each: noise, distributions, and the conclusion."""
         at = float(np.median(self.fitted.real.ranges))
         ours, theirs = (1000 * (n.sigma + n.sigma_relative * at) for n in (self.fitted.noise, self.sheet))
         return (
             f"At {at:.1f} m this lidar's noise is {ours:.1f} mm, that of {self.lidar} {theirs:.1f} mm.",
             "The Kolmogorov distance between real and simulated residuals is "
             f"{self.fitted.distance:.2f} with noise.yaml and {self.distance_before:.2f} with {self.lidar}.",
-            *(() if self.replay is None else (self.replay.sentence,)),
+            (self.replay or Replay("", ())).sentence,
+            f"What differs most: {self._largest_difference()}.",
+            "Not covered: hills, other places, and what the map lacks, such as people "
+            f"({100 * _beam_shares(self.real)['on objects']:.1f} % of the beams).",
         )
+
+    def _largest_difference(self) -> str:
+        """Return the figure with the largest factor between log and simulation, in words."""
+        samples = self.fitted.real, self.fitted.simulated
+        lost, mixed = zip(*(sample.shares(sample.blocks).tolist() for sample in samples), strict=True)
+        width = tuple(np.diff(np.quantile(s.residual, (0.1587, 0.8413))).item() / 2 for s in samples)
+        rows = [("beams lost", 100.0, "%", lost), ("mixed pixels", 100.0, "%", mixed)]
+        rows.append(("width of the residuals", 1000.0, "mm", width))
+        if self.replay is not None and self.replay.odometry is not None:
+            distance, turn = zip(*self.replay.odometry, strict=True)
+            rows.append(("odometry's error of distance over 5 m", 100.0, "%", distance))
+            rows.append(("odometry's error of turn over 5 m", math.degrees(1), "deg", turn))
+        name, scale, unit, (real, simulated) = max(
+            rows, key=lambda row: abs(math.log((row[3][0] + NEGLIGIBLE) / (row[3][1] + NEGLIGIBLE)))
+        )
+        return f"{name}, {scale * real:.1f} {unit} in the log and {scale * simulated:.1f} {unit} simulated"
 
     def figures(self) -> dict[str, Any]:
         """Return all figures, for JSON."""

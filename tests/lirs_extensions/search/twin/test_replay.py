@@ -77,5 +77,13 @@ def test_order_and_size_of_errors_are_compared(pairs: list[tuple[float, float]])
     replay = Replay("ATE", (*mappers, ReplayedMapper("without odometry", reason="needs it")))
     tau = kendalltau(*zip(*pairs, strict=True)).statistic
     assert replay.tau == (None if np.isnan(tau) else pytest.approx(tau))
-    within = sum(abs(np.log2(real / twin)) <= 1 for real, twin in pairs)
-    assert f"Errors of {within} of {len(pairs)} mappers" in replay.sentence
+    near = [str(k) for k, (real, twin) in enumerate(pairs) if abs(np.log2(real / twin)) <= 1]
+    assert (f"close enough to trust a verdict on {', '.join(near)}: errors agree" in replay.sentence) == bool(
+        near
+    )
+    assert ("not on" in replay.sentence or "not close enough" in replay.sentence) == (len(near) < len(pairs))
+    assert replay.sentence.count("x the log's)") == len(pairs) - len(near)
+
+
+def test_without_a_mapper_nothing_is_known() -> None:
+    assert "not yet known to be close enough" in Replay("ATE", ()).sentence

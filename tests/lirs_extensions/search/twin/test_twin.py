@@ -233,6 +233,13 @@ def test_the_command_writes_page_figures_and_preset(tmp_path: Path, monkeypatch:
     for sentence in figures["sentences"]:
         assert sentence in result.output
         assert sentence in unescape(page)
+    assert figures["sentences"][2].startswith(
+        "The simulation of this lidar is close enough to trust a verdict on "
+    )
+    assert "What differs most: " in figures["sentences"][3]
+    assert f"next: lirs-wct validate medium --noise {folder / 'noise.yaml'}" in result.output.replace(
+        "\n", ""
+    )
     assert figures["kolmogorov"]["after"] < figures["kolmogorov"]["before"]
     noise = read_noise(folder / "noise.yaml")
     assert isinstance(noise.lidar, LidarNoise)
