@@ -21,9 +21,8 @@ import numpy as np
 from lirs_validation.config import RUN_AXES, RunConfig, run_name
 from lirs_validation.record.metric_catalog import Entry, picture_lines
 from lirs_validation.record.verdict import Verdict, judge
-from lirs_wct import ConfigError, SourceError
 from lirs_wct.display import html_table
-from lirs_wct.errors import reason_of
+from lirs_wct.errors import ConfigError, SourceError, reason_of
 from lirs_wct.files import MANIFEST, digest, read_manifest, write_json
 from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.option import declared, defaults

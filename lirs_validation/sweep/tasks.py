@@ -29,13 +29,12 @@ from lirs_validation.record.run_record import (
     world_files,
 )
 from lirs_validation.sweep.sweep import Executor, Outcome, Serial, SweepTask
-from lirs_wct import BuildOptions, unknown_name
 from lirs_wct.contact import ContactGeometry
-from lirs_wct.errors import SourceError, reason_of
+from lirs_wct.errors import SourceError, reason_of, unknown_name
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.progress import Progress
-from lirs_wct.sources.source import SourceKind, find_source
+from lirs_wct.sources.source import BuildOptions, SourceKind, find_source
 
 
 @dataclass(frozen=True)
