@@ -83,15 +83,12 @@ def bench(
     lirs-wct bench pretrained my_policy:MyPolicy --world map.yaml office.yaml --robot jackal -o out/
     lirs-wct bench straight go_to_goal astar --set lirs --task navigation -o out/
     """
-    from lirs_extensions.bench.drawing import draw_set, find_worlds
-    from lirs_extensions.bench.episode import EpisodeTask
-    from lirs_extensions.bench.policies import BASELINES, DEFAULTS
-    from lirs_extensions.bench.tasks import task_set
+    from lirs_extensions.bench import drawing, episode, policies, tasks as known_tasks
     from lirs_validation.sweep.sweep import Sweep
 
     places: Sequence[WorldSpec] = ()
     task, output, data = options.task, options.output, of_set.get("data")
-    names, worlds = _split_words(options.policies, of_world.get("world", ()), BASELINES)
+    names, worlds = _split_words(options.policies, of_world.get("world", ()), policies.BASELINES)
     if worlds:
         if task not in DRAWN:
             raise unknown_name("--task in worlds of your own", task, DRAWN)
@@ -99,17 +96,17 @@ def bench(
         given = WorldOptions(**of_world)
         sources, build = map_logs(worlds, build, output)
         with progress_bar("tasks") as progress:
-            places = find_worlds(sources, build)
-            tasks = draw_set(places, task, given.robot, given.tasks, given.seed, progress)
+            places = drawing.find_worlds(sources, build)
+            tasks = drawing.draw_set(places, task, given.robot, given.tasks, given.seed, progress)
         chosen = [*tasks.tasks]
     else:
         _refuse(of_world | changed(build), "for --world, which is not given")
         part = SetOptions(**of_set)
-        tasks = task_set(part.set)
+        tasks = known_tasks.task_set(part.set)
         chosen = _with_sources(tasks.chosen(task, part.split), data)
-    choices = _read_policies(names or DEFAULTS[task], options.parameters, chosen[0], data)
+    choices = _read_policies(names or policies.DEFAULTS[task], options.parameters, chosen[0], data)
     episodes = [
-        EpisodeTask(
+        episode.EpisodeTask(
             set_name=tasks.name,
             set_version=tasks.version,
             task=each,
@@ -175,17 +172,19 @@ def _read_policies(
     names: Sequence[str], parameters: str, task: BenchTask, data: Path | None
 ) -> list[PolicyChoice]:
     """Return the policies, each of which was made once for a task."""
-    from lirs_extensions.bench.episode import make_task_env
-    from lirs_extensions.bench.policies import BASELINES, PolicyChoice
+    from lirs_extensions.bench import episode, policies
 
     given = tuple(sorted(read_pairs(parameters, "--parameters").items()))
-    choices = [PolicyChoice(name, () if name in BASELINES else given) for name in dict.fromkeys(names)]
-    if given and all(choice.name in BASELINES for choice in choices):
+    choices = [
+        policies.PolicyChoice(name, () if name in policies.BASELINES else given)
+        for name in dict.fromkeys(names)
+    ]
+    if given and all(choice.name in policies.BASELINES for choice in choices):
         raise ConfigError("--parameters are for policies of your own (module:name)")
     for choice in choices:
         choice.check(task.task)
-        if choice.name not in BASELINES:
-            env = make_task_env(task, data, choice.observe)
+        if choice.name not in policies.BASELINES:
+            env = episode.make_task_env(task, data, choice.observe)
             choice.make(env, task)
             env.close()
     return choices
