@@ -51,7 +51,7 @@ def _clicked_drive(page: Any) -> None:
 def test_two_clicks_drive_and_the_end_says_what_is_next(open_page: Open, server: Any) -> None:
     page = open_page()
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
-    server.pages[0].drive._speed.value = "2 x"  # still driving when Space is pressed
+    server.pages[0].drive._speed.value = "1 x real time"  # still driving when Space is pressed
     _clicked_drive(page)
     drive = server.pages[0].drive.playback
     page.get_by_text("Verdict so far").wait_for()
