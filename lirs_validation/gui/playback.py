@@ -179,7 +179,7 @@ class Playback:
         facts = (
             ("time", f"{time:.1f} of {self.seconds:g} s ({100 * time / self.seconds:.0f} %)"),
             ("RTF", f"{self.rtf_at(time):.1f}" if self.rtf else "-"),
-            ("ATE", f"{ate(truth, estimate):.3f} m"),
+            ("ATE so far", f"{ate(truth, estimate):.3f} m"),
             ("status", self.status),
             *self.results,
         )
