@@ -102,7 +102,7 @@ class ExportOptions(RotationOptions):
         if self.max_error is not None and self.max_triangles is not None:
             raise ConfigError("both limit the mesh: give one of the options max-error, max-triangles")
         if self.drape and self.texture_size is not None:
-            raise ConfigError("a draped texture spans the world once: leave out the option texture-size")
+            raise ConfigError("a draped texture spans the world once: leave out --option texture-size")
 
     @property
     def limited(self) -> bool:

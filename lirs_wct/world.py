@@ -228,7 +228,7 @@ class World(ShownAsPicture):
             ConfigError: `drape` without a texture, or a wall texture without walls.
         """
         if given.wall_texture and self.walls is None:
-            raise ConfigError(f"{self.name}: has no walls, which the option wall-texture is for")
+            raise ConfigError(f"{self.name}: has no walls, which --option wall-texture is for")
         return replace(self, export_options=self.export_options.updated(given))
 
     def save(self, folder: str | Path) -> Path:

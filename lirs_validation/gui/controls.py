@@ -9,11 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from lirs_validation.config import PRETRAINED, RunConfig
-from lirs_wct import Pose2
+from lirs_validation.config import PRETRAINED, MapConfig, RunConfig
+from lirs_wct import BuildOptions, Pose2
 from lirs_wct.option import Option, Options, declared
 from lirs_wct.sources.source import SourceKind
 
+COMMAND = r"lirs-wct [a-z]+ (\S+ )?(?=--)"
+"""Start of a command in a message, where the page has a control of the option that follows."""
 DEFAULT = re.compile(r"default: ([^,.;]+)", re.IGNORECASE)
 """Default in the help of an option; stands for it among choices."""
 Kind = Literal["switch", "choice", "slider", "text", "file"]
@@ -91,11 +93,19 @@ def to_goal(config: RunConfig, start: tuple[float, float], goal: tuple[float, fl
     return replace(config, driver=driver, build=replace(config.build, start=Pose2(x, y, yaw)))
 
 
-def without_flags(text: str) -> str:
-    """Return a message in which options have names instead of command-line flags.
+LABELS = {
+    option.flag: option.title.partition(" [")[0] or option.label
+    for options in (MapConfig, RunConfig, BuildOptions)
+    for option in declared(options).values()
+}
+"""Label of each option's control, without its unit, by the option's flag."""
 
-    >>> without_flags("give one of --size, --resolution")
-    'give one of size, pixel size'
+
+def without_flags(text: str) -> str:
+    """Return a message in which options have the labels of their controls instead of flags.
+
+    >>> without_flags("give one of --size, --option nodata=VALUE, --z-scale 2")
+    'give one of size, nodata, z axis scale 2'
     """
-    named = re.sub(r"--option ([a-z-]+)(=[A-Z/]+\b)?", r"--\1", text)
-    return re.sub(r"--([a-z][a-z-]*)", lambda flag: flag[1].replace("-", " "), named)
+    named = re.sub(r"--option ([a-z-]+)(=[A-Z/]+\b)?", r"--\1", re.sub(COMMAND, "", text))
+    return re.sub(r"--[a-z][a-z-]*", lambda flag: LABELS.get(flag[0], flag[0][2:].replace("-", " ")), named)

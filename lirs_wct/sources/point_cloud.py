@@ -135,7 +135,7 @@ def _ground(
     if mountains > MOUNTAIN_SHARE:
         warnings.warn(
             f"{path}: {mountains:.0%} of the area is steeper than {filtering.mountain:g}; its own slope "
-            "tells ground from objects there; the option ground-slope sets one for all",
+            "tells ground from objects there; --option ground-slope sets one for all",
             stacklevel=4,
         )
     return on_ground, "the ground by SMRF (Pingel 2013)"

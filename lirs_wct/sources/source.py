@@ -343,9 +343,9 @@ def warn_without_effect(source: Source, options: BuildOptions) -> None:
     """Warn of given options that have no effect on a source of this kind."""
     declarations = declared(type(options))
     useless = [
-        name.replace("_", "-")
-        for name in declarations
-        if name in changed(options) and source.kind not in (declarations[name].kinds or SourceKind)
+        f"--option {entry.flag[2:]}" if entry.rare else entry.flag
+        for name, entry in declarations.items()
+        if name in changed(options) and source.kind not in (entry.kinds or SourceKind)
     ]
     if useless:
         verb = "has" if len(useless) == 1 else "have"

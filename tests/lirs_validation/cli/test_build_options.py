@@ -85,7 +85,7 @@ def test_a_new_field_knows_its_sources() -> None:
     deep = Flooded(water_level=2.0)
     with warnings.catch_warnings(action="error"):
         warn_without_effect(Source(SourceKind.PICTURE, Path("a.png"), "a"), deep)
-    with pytest.warns(UserWarning, match=r"a\.yaml: water-level has no effect on a laser map"):
+    with pytest.warns(UserWarning, match=r"a\.yaml: --water-level has no effect on a laser map"):
         warn_without_effect(Source(SourceKind.MAP, Path("a.yaml"), "a"), deep)
 
 

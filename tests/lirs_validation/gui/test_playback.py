@@ -52,7 +52,7 @@ def test_colors_tell_small_from_large_errors() -> None:
 @pytest.mark.parametrize(
     ("message", "shown"),
     [
-        ("give one of --size, --resolution", "give one of size, resolution"),
+        ("give one of --size, --invert, --z-scale 2", "give one of size, color inverse, z axis scale 2"),
         ("/tmp/lirs-wct-gui-1-x/hill.png: not a picture", "hill.png: not a picture"),
         ("see /var/a b", "see a b"),
         ("2 m/s and 1/2 at http://127.0.0.1:8080/x stay", "2 m/s and 1/2 at http://127.0.0.1:8080/x stay"),

@@ -243,7 +243,7 @@ def test_floor_and_walls_are_two_materials_of_one_mesh_file(room: Path, tmp_path
 def test_options_that_cannot_be_kept_are_refused(peak: Path, ortho: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="give --texture FILE"):
         build_world(peak, BuildOptions(drape=True))
-    with pytest.raises(ConfigError, match="leave out the option texture-size"):
+    with pytest.raises(ConfigError, match="leave out --option texture-size"):
         BuildOptions(drape=True, texture=ortho, texture_size=3)
     with pytest.raises(ConfigError, match="has no walls"):
         build_world(peak, BuildOptions(wall_texture=ortho))

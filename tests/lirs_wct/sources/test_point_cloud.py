@@ -107,7 +107,7 @@ def test_a_volcano_keeps_its_summit(tmp_path: Path) -> None:
     assert found[~cone.bare].mean() < 0.06
     assert 0.2 < mountains < 0.5
     trimesh.PointCloud(cone.xyz).export(tmp_path / "a.ply")
-    with pytest.warns(UserWarning, match=r"a\.ply: \d\d% of the area is steeper .* the option ground-slope"):
+    with pytest.warns(UserWarning, match=r"a\.ply: \d\d% of the area is steeper .* --option ground-slope"):
         world = build_world(tmp_path / "a.ply")
     assert world.surface.height_at(10, 0) == pytest.approx(0.7 * 30, abs=1.5)
 
