@@ -24,6 +24,10 @@ class SourceError(WctError):
     """An unusable source: picture, map, mesh, folder or log; the message begins with its path."""
 
 
+class MapPictureWarning(UserWarning):
+    """A picture read as terrain that looks like a laser map."""
+
+
 class LogSourceError(SourceError):
     """A laser log as source where a world is needed; it must be mapped first."""
 

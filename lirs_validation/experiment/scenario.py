@@ -71,14 +71,18 @@ def build_scenario(config: RunConfig) -> Scenario:
         raise LogSourceError(
             f"{error}: lirs-wct build does both, and so does lirs_validation.resolve_source"
         ) from None
-    is_large = world.kind != "map" and not world.overhangs and max(world.surface.size) > LARGE_SIDE
-    if not is_large or config.build.window is not None:
+    if not is_large(world) or config.build.window is not None:
         return Scenario(config, world, config.build.window, files)
     west, south, east, north = world.surface.bounds
     middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
     window = (middle.x, middle.y, DRIVEN_SIDE)
     cut = build_world(config.source, replace(config.build, window=window))
     return Scenario(config, cut, window, files, world.surface.size)
+
+
+def is_large(world: World) -> bool:
+    """Whether a run takes a window of a terrain only."""
+    return world.kind != "map" and not world.overhangs and max(world.surface.size) > LARGE_SIDE
 
 
 class ScenarioCache:

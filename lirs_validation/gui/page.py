@@ -8,7 +8,7 @@ import queue
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.construction import Facts, Uploads, zip_folder
 from lirs_validation.gui.controls import Control, controls, without_flags
 from lirs_validation.gui.scene import DriveScene, WorldScene
-from lirs_wct.errors import ConfigError, WctError
+from lirs_wct.errors import ConfigError, MapPictureWarning, WctError
 from lirs_wct.option import Options
 from lirs_wct.progress import Progress
 from lirs_wct.sources.source import SourceKind
@@ -45,7 +45,7 @@ class Guard:
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
         self._shown: viser.NotificationHandle | None = None
-        self._notes: list[str] = []
+        self._notes: list[Warning | str] = []
 
     def __call__(self, callback: Callback) -> Callback:
         """Return a callback whose errors are shown."""
@@ -67,15 +67,20 @@ class Guard:
         _LOG.error("a page failed", exc_info=error)
         self._say("The program failed", f"{type(error).__name__}: {error}", "red")
 
-    def note(self, message: str) -> None:
+    def note(self, message: Warning | str) -> None:
         """Keep a hint until the present work is done."""
         self._notes.append(message)
+
+    @property
+    def map_seen(self) -> bool:
+        """Whether one of the kept hints is about a picture that looks like a laser map."""
+        return any(isinstance(note, MapPictureWarning) for note in self._notes)
 
     def done(self) -> None:
         """Remove the last error and show the collected hints."""
         notes, self._notes = self._notes, []
         if notes:
-            self._say("Note", "; ".join(dict.fromkeys(notes)), "yellow")
+            self._say("Note", "\n".join(dict.fromkeys(map(str, notes))), "yellow")
         else:
             self._remove_shown()
 
@@ -202,7 +207,8 @@ class OptionControls:
     """Controls of the options of a class; `read` returns the options' values.
 
     The options in `first` stand above the folded ones, and those under the heading `more` or, without one,
-    under their own. `keep_file` keeps an uploaded file and returns its path.
+    under their own. `keep_file` keeps an uploaded file and returns its path. `only` names the options that
+    have a control; empty = all. They are shown for sources of these kinds.
     """
 
     def __init__(
@@ -215,13 +221,17 @@ class OptionControls:
         keep_file: Callable[[str, bytes], str] = lambda name, content: "",
         first: tuple[str, ...],
         more: str = "",
+        only: Collection[str] = (),
+        kinds: Collection[SourceKind] = tuple(SourceKind),
     ) -> None:
         self._gui, self._guard, self._changed, self._keep_file = gui, guard, changed, keep_file
+        self._kinds, self._more = kinds, more
         self._files: dict[str, str] = {}
         self._shown: list[tuple[Control, Any]] = []
         self._folders: dict[str, Any] = {}
-        for control in sorted(controls(options), key=lambda c: c.name not in first):
-            panel = more or control.option.panel or FIRST_PANEL
+        offered = (control for control in controls(options) if not only or control.name in only)
+        for control in sorted(offered, key=lambda c: c.name not in first):
+            panel = self._panel(control)
             if control.name not in first and panel not in self._folders:
                 self._folders[panel] = gui.add_folder(panel, expand_by_default=False)
             with nullcontext() if control.name in first else self._folders[panel]:
@@ -237,10 +247,13 @@ class OptionControls:
     def show_for(self, kind: SourceKind) -> None:
         """Show the controls that have an effect on a kind of source."""
         for control, handle in self._shown:
-            handle.visible = control.shown_for(kind)
-        legal = {control.option.panel or FIRST_PANEL for control, handle in self._shown if handle.visible}
+            handle.visible = kind in self._kinds and control.shown_for(kind)
+        legal = {self._panel(control) for control, handle in self._shown if handle.visible}
         for panel, folder in self._folders.items():
             folder.visible = panel in legal
+
+    def _panel(self, control: Control) -> str:
+        return self._more or control.option.panel or FIRST_PANEL
 
     def _add(self, control: Control) -> Any:
         gui, title, start, hint = self._gui, control.title, control.initial, control.hint
@@ -262,12 +275,17 @@ class OptionControls:
         handle = self._gui.add_upload_button(f"{control.title} ...", hint=control.hint)
 
         def keep_upload(_: Any) -> None:
-            self._files[control.name] = self._keep_file(handle.value.name, handle.value.content)
-            handle.label = f"{control.title}: {handle.value.name}"
-            self._changed()
+            self.set_file(control.name, Path(self._keep_file(handle.value.name, handle.value.content)))
 
         handle.on_upload(self._guard(keep_upload))
         return handle
+
+    def set_file(self, option: str, path: Path) -> None:
+        """Give an option a file, and show its name."""
+        self._files[option] = str(path)
+        control, handle = next(shown for shown in self._shown if shown[0].name == option)
+        handle.label = f"{control.title}: {path.name}"
+        self._changed()
 
 
 def add_drop_zone(gui: viser.GuiApi, label: str) -> None:

@@ -137,7 +137,7 @@ class Server:
         if page is None:
             self._show_warning(message, *where, **more)
         else:
-            page.guard.note(str(message))
+            page.guard.note(message)
 
     def _open(self, client: Any) -> None:
         page = Page(client, self._source, self._runs)

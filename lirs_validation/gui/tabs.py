@@ -5,12 +5,13 @@ from __future__ import annotations
 import html
 import time
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
 import viser
 
-from lirs_validation.config import RunConfig
+from lirs_validation.config import LogOptions, MapConfig, RunConfig
 from lirs_validation.gui.construction import Facts, Shown, build, preview
 from lirs_validation.gui.controls import to_goal
 from lirs_validation.gui.page import OptionControls, PageContext, Stick, add_drop_zone, as_table, asset
@@ -19,13 +20,16 @@ from lirs_validation.report.run_tables import command_of
 from lirs_wct import BuildOptions, ConfigError
 from lirs_wct.export.package import DEFAULT_FORMATS, FORMATS, GazeboTerrain
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import SourceKind, find_source
 
 WORLD_OPTIONS = (
     *("size", "height", "invert", "smoothing", "z_scale", "wall_height", "unknown", "speckle"),
     *("resolution", "cloud_surface"),
 )
 """Options above the folded ones; at most five of them have an effect on a kind of source."""
+MAP_RESOLUTION = 0.05
+"""Resolution of a map picture without YAML, meters a pixel; most maps have it."""
+LOG, LOG_OPTIONS = "Laser log", ("mapper", *(field.name for field in fields(LogOptions)))
 TERRAINS: tuple[GazeboTerrain, ...] = ("solid", "heightmap")
 PERIOD = 0.12
 """Seconds between two pictures."""
@@ -56,6 +60,7 @@ class WorldTab:
         self._page, self._changed = page, changed
         self._sources = {} if first is None else {first if first in RECIPES else Path(first).name: first}
         self._sources |= {name: name for name in RECIPES if name not in self._sources}
+        self._maps = set[str]()  # pictures that are read as laser maps
         self.shown: Shown | None = None
         gui, guard = page.client.gui, page.guard
         self._source = gui.add_dropdown(
@@ -63,12 +68,16 @@ class WorldTab:
         )
         self._source.on_update(guard(lambda event: None if event.client_id is None else self.preview()))
         upload = gui.add_upload_button(
-            "Open a file ...",
+            "Open files ...",
             icon=viser.Icon.UPLOAD,
-            hint="Picture of heights, laser map (first its picture, then its YAML), mesh, laser log or bag.",
+            hint="Picture of heights, laser map with its picture, mesh, laser log or bag.",
         )
         upload.on_upload(guard(lambda _: self.open(upload.value.name, upload.value.content)))
-        add_drop_zone(gui, "Open a file")
+        add_drop_zone(gui, "Open files")
+        self._as_map = gui.add_button(
+            "Read as a map", color="yellow", visible=False, hint=f"{MAP_RESOLUTION:g} m a pixel unless given."
+        )
+        self._as_map.on_click(guard(lambda _: self._read_as_map()))
         self._build = gui.add_button("Build", color="green", icon=viser.Icon.HAMMER)
         self._build.on_click(guard(lambda _: self.build()))
         self._download = gui.add_button("Download the package", icon=viser.Icon.DOWNLOAD, disabled=True)
@@ -76,6 +85,10 @@ class WorldTab:
         self._facts = gui.add_markdown("")
         self._options = OptionControls(
             gui, guard, BuildOptions, changed=self.preview, keep_file=self._keep, first=WORLD_OPTIONS
+        )
+        kinds = (SourceKind.LOG,)
+        self._mapping = OptionControls(
+            gui, guard, MapConfig, changed=self.preview, first=(), more=LOG, only=LOG_OPTIONS, kinds=kinds
         )
         with gui.add_folder("Files of the package", expand_by_default=False):
             self._formats = {
@@ -91,7 +104,6 @@ class WorldTab:
 
         def show_chosen() -> None:
             name = self._source.value
-            self._options.show_for(find_source(self._sources[name], self._read()).kind)
             self._show_preview(self._sources[name], name)
 
         self._page.worker.submit("preview", show_chosen)
@@ -107,35 +119,52 @@ class WorldTab:
         return str(path)
 
     def open(self, name: str, content: bytes) -> None:
-        """Show an uploaded file; world and controls stay if it is refused."""
+        """Show an upload of one file or several; world and controls stay if it is refused."""
 
-        def show_file() -> None:
-            path = Path(self._keep(name, content))
-            self._show_preview(str(path), path.name)
-            self._options.show_for(find_source(str(path), self._read()).kind)
-            self._sources[path.name] = str(path)
+        def show_files() -> None:
+            self._page.scenarios.clear()  # a new file may have the name of an old one
+            with self._page.uploads.added(name, content) as (main, texture):
+                self._show_preview(str(main[0]), main[0].name)
+            self._sources |= {path.name: str(path) for path in main}
             self._source.options = tuple(self._sources)
-            self._source.value = path.name  # type: ignore[misc]
+            self._source.value = main[0].name  # type: ignore[misc]
+            if texture is not None:
+                self._options.set_file("texture", texture)
 
-        self._page.worker.submit(f"open {name}", show_file)
+        self._page.worker.submit(f"open {name}", show_files)
+
+    def _read_as_map(self) -> None:
+        self._maps.add(self._sources[self._source.value])
+        self.preview()
 
     def _show_preview(self, source: str, name: str) -> None:
+        options, mapping = self._read(source), self._mapping.read()
         with self._page.progress(name) as progress:
-            shown = preview(source, self._read(), self._page.uploads.folder, progress)
+            shown = preview(source, options, self._page.uploads.folder, progress, **mapping)
             triangles = self._page.scene.show_world(shown.world, coarse=True)
+        kind = find_source(source, options).kind
+        self._options.show_for(kind)
+        self._mapping.show_for(kind)
+        self._as_map.visible = self._page.guard.map_seen
         self._download.disabled = True
         self._show(shown, (("preview", f"{triangles:,} triangles"),))
 
-    def _read(self) -> BuildOptions:
-        return BuildOptions(**self._options.read())
+    def _read(self, source: str) -> BuildOptions:
+        """Return the options of a source; a picture that is read as a map has a usual resolution."""
+        given = self._options.read()
+        if source in self._maps:
+            if given["resolution"] is None:
+                self._page.guard.note(f"{source}: {MAP_RESOLUTION:g} m a pixel, unless --resolution is given")
+            given["kind"], given["resolution"] = given["kind"] or "map", given["resolution"] or MAP_RESOLUTION
+        return BuildOptions(**given)
 
     def _build_now(self) -> None:
         try:
-            name, options = self._source.value, self._read()
-            formats = [name for name, box in self._formats.items() if box.value]
+            name, folder = self._source.value, self._page.uploads.folder
+            source, formats = self._sources[name], [name for name, box in self._formats.items() if box.value]
+            options, mapping = self._read(source), self._mapping.read()
             with self._page.progress(name) as progress:
-                folder = self._page.uploads.folder
-                shown = build(self._sources[name], options, folder, formats, self._terrain.value, progress)
+                shown = build(source, options, folder, formats, self._terrain.value, progress, **mapping)
                 triangles = self._page.scene.show_world(shown.world, coarse=False)
         finally:
             self._build.disabled = False

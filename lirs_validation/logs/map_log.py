@@ -385,12 +385,16 @@ def _measure_time(seconds: dict[str, float], name: str) -> Iterator[None]:
 
 
 def resolve_source(
-    source: str | Path, options: BuildOptions, out: str | Path, progress: Progress = no_progress
+    source: str | Path,
+    options: BuildOptions,
+    out: str | Path,
+    progress: Progress = no_progress,
+    **map_options: Any,
 ) -> str | Path:
     """Return the source, or for a log the YAML file of its map.
 
     The map is made into `out` as `lirs-wct map` makes it. One that lies there already is used again, if
-    this very log and this very code made it.
+    this very log and this very code made it. Other options are those of `MapConfig`.
 
     Raises:
         WctError: there is no such source, the log cannot be mapped, or the map cannot be written.
@@ -398,7 +402,7 @@ def resolve_source(
     log = find_source(source, BuildOptions())
     if log.kind is not SourceKind.LOG:
         return source
-    config = MapConfig(log=str(source), resolution=options.resolution, second="none")
+    config = MapConfig(log=str(source), resolution=options.resolution, second="none", **map_options)
     folder = Path(out) / folder_name(config)
     ending = _read_ending(folder)
     if ending is None:

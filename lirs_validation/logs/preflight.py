@@ -63,6 +63,12 @@ class Preflight:
     repairs: tuple[str, ...]
 
     @property
+    def notes(self) -> tuple[tuple[str, str], ...]:
+        """Deviations and repairs, to be shown as a table."""
+        deviations = (("deviation", str(finding)) for finding in self.findings)
+        return *deviations, *(("put right", repair) for repair in self.repairs)
+
+    @property
     def unfit(self) -> str:
         """First reason why a map will be wrong, with its remedy; else empty."""
         return next((str(finding) for finding in self.findings if finding.unfit), "")

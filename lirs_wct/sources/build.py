@@ -48,7 +48,22 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
         LogSourceError: the source is a laser log, which must be mapped first.
         ConfigError: an option does not fit the source.
     """
-    options = options or BuildOptions()
+    return _build(source, options or BuildOptions())
+
+
+def preview_world(source: str | Path, options: BuildOptions) -> World:
+    """Build a world without start poses; its warnings are those of `build_world`."""
+    return _build(source, options, with_starts=False)
+
+
+def coarser(world: World, nodes: int) -> World:
+    """Return a terrain on at most so many nodes a side; other worlds are returned as they are."""
+    if not isinstance(world.ground, Terrain) or world.ground.no_ground is not None:
+        return world
+    return replace(world, ground=Terrain(fewer_nodes(world.surface, nodes)), scale="preview")
+
+
+def _build(source: str | Path, options: BuildOptions, *, with_starts: bool = True) -> World:
     site = find_source(source, options)
     if site.kind is SourceKind.LOG:
         raise LogSourceError(f"{site.path}: a log is mapped before it is a world")
@@ -58,7 +73,7 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     else:
         ground, scale, place = READERS[site.kind](site, options)
         world = World(site.name, ground, scale=scale, source=site.identity, start=options.start, place=place)
-        world = _with_spawn_poses(world)
+        world = _with_spawn_poses(world) if with_starts else world
     warn_of_result(site, options, world)
     _check_textures(options)
     return world.with_export(options)
@@ -73,20 +88,6 @@ READERS: dict[SourceKind, Callable[[Source, BuildOptions], Reading]] = {
     SourceKind.CLOUD: read_point_cloud,
 }
 """Readers of the sources that are files, and of bundled worlds."""
-
-
-def preview_world(source: str | Path, options: BuildOptions, nodes: int) -> World:
-    """Return a world to look at: no start poses, few nodes of a picture."""
-    site = find_source(source, options)
-    if site.kind is SourceKind.FOLDER:
-        return World.load(site.path).with_export(options)
-    ground, scale, _ = READERS[site.kind](site, options)
-    if READERS[site.kind] is read_terrain:
-        ground, scale = Terrain(fewer_nodes(ground.surface, nodes)), "preview"
-    _check_textures(options)
-    world = World(site.name, ground, scale=scale).with_export(options)
-    warn_of_result(site, options, world)
-    return world
 
 
 def _check_textures(options: BuildOptions) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy  # its modules load on first use
 from numpy.typing import NDArray
 
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.errors import ConfigError, MapPictureWarning, SourceError
 from lirs_wct.formats import ENCODINGS
 from lirs_wct.formats.elevation import (
     Raster,
@@ -78,10 +78,8 @@ def read_terrain(source: Source, options: BuildOptions) -> Reading:
         raise SourceError(f"{path}: {error}") from error
     _warn_slope_change(path, raster, surface, options)
     if options.kind is None and looks_like_map(raster.pixels):
-        warnings.warn(
-            f"{path}: looks like a laser map: give its YAML file, or --kind map with --resolution",
-            stacklevel=4,
-        )
+        text = "looks like a laser map: give its YAML file, or --kind map with --resolution"
+        warnings.warn(MapPictureWarning(f"{path}: {text}"), stacklevel=4)
     terrain, place = Terrain(surface), _place(raster, surface, height, options)
     if options.window is not None:
         terrain, lift = cut_terrain(terrain, options.window, level=options.zero is None)
@@ -320,7 +318,7 @@ def _meters(
     unit, factor = info.unit or 1.0, (options.scale or (1.0, 1.0, 1.0))[2] * (options.z_scale or 1.0)
     own = info.unit is not None and options.height is None and factor == 1.0 and not options.invert
     if options.zero is not None and not own:
-        raise ConfigError(f"{path}: the option zero needs the file's own heights, which these are not")
+        raise ConfigError(f"{path}: --option zero needs the file's own heights, which these are not")
     if info.scale != 1.0 or info.offset != 0.0:
         values = values.astype(np.float64) * info.scale + info.offset
     if options.invert:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -106,7 +107,7 @@ def info(
     lirs-wct info examples/data/office.clf.gz
     """
     from lirs_envs.robots.robot import make_robot
-    from lirs_validation.cli.commands.info import facts_table, preflight_table
+    from lirs_validation.metrics.world_facts import ground_facts, measured_facts
     from lirs_wct.drawing.pictures import view_figure
     from lirs_wct.files import atomic_write
 
@@ -116,14 +117,17 @@ def info(
 
         with err.status(f"reading {source}"):
             found = check_log_file(source, **given)
-        out.print(preflight_table(source, found))
+        table = _facts_table(source, found.facts)
+        for row in found.notes:
+            table.add_row(*row, style="yellow")
+        out.print(table)
         say(f"{source}: {found.sentence}")
         return
     make_robot(robot)
     with err.status(f"measuring {source}"):
         world = lirs_wct.build_world(source, build)
-        facts = facts_table(world, robot)
-    out.print(facts)
+        facts = *ground_facts(world), *measured_facts(world, robot)
+    out.print(_facts_table(f"{world.name}: {world.kind}, {world.scale}", facts))
     if output is not None:
         with atomic_write(output) as path:
             view_figure(world).savefig(path, format="png")
@@ -180,6 +184,15 @@ def _say_what_was_built(world: lirs_wct.World, folder: Path, to: tuple[str, ...]
         )
     if not world.spawn_poses:
         say("start poses: none, no robot on wheels fits")
+
+
+def _facts_table(title: str, facts: Iterable[tuple[str, str]]) -> Table:
+    from rich.table import Table
+
+    table = Table(title=title, show_header=False, title_justify="left")
+    for row in facts:
+        table.add_row(*row)
+    return table
 
 
 def _figures_table(record: MapRecord) -> Table:

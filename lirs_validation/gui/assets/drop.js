@@ -3,24 +3,27 @@ function(root){
  const input = () => [...document.querySelectorAll('input[type=file]')]
   .find(found => found.parentElement.textContent.includes('LABEL'));
  async function take(files){
-  const yaml = file => /[.]ya?ml$/i.test(file.name);
-  for (const file of [...files].sort((a, b) => yaml(a) - yaml(b))) {
-   while (input().parentElement.querySelector('button').disabled) await wait();
-   const one = new DataTransfer();
-   one.items.add(file);
-   input().files = one.files;
-   input().dispatchEvent(new Event('change', {bubbles: true}));
-   await wait();
-  }
+  while (input().parentElement.querySelector('button').disabled) await wait();
+  const one = new DataTransfer();
+  const head = 'lirs-files ' + JSON.stringify(files.map(file => [file.name, file.size])) + '\n';
+  const names = files.map(file => file.name).join(', ');
+  one.items.add(files.length > 1 ? new File([head, ...files], names) : files[0]);
+  input().files = one.files;
+  input().dispatchEvent(new Event('change', {bubbles: true}));
  }
  function dropped(event){
   if (!root.isConnected) {
-   ['dragover', 'drop'].forEach(kind => window.removeEventListener(kind, dropped));
+   ['dragover', 'drop', 'click', 'change'].forEach(kind => window.removeEventListener(kind, dropped, true));
    return;
   }
-  if (!root.offsetParent || !event.dataTransfer.types.includes('Files')) return;
+  if (event.type === 'click' && input()) input().multiple = true;
+  if (event.type === 'change' && event.target === input() && event.target.files.length > 1) {
+   event.stopImmediatePropagation();
+   take([...event.target.files]);
+  }
+  if (!root.offsetParent || !event.dataTransfer || !event.dataTransfer.types.includes('Files')) return;
   event.preventDefault();
-  if (event.type === 'drop') take(event.dataTransfer.files);
+  if (event.type === 'drop' && event.dataTransfer.files.length) take([...event.dataTransfer.files]);
  }
- ['dragover', 'drop'].forEach(kind => window.addEventListener(kind, dropped));
+ ['dragover', 'drop', 'click', 'change'].forEach(kind => window.addEventListener(kind, dropped, true));
 }

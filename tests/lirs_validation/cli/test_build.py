@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_validation.cli.commands.info import STRIP, _slopes
+from lirs_validation.metrics.world_facts import STRIP, _slopes
 from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct import World
 from lirs_wct.files import MANIFEST
@@ -122,7 +122,7 @@ def test_a_texture_is_copied_named_and_tiled(folder: Path) -> None:
 def test_options_without_effect_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     built("room.yaml", "--invert", "--size", "3")
     told = capsys.readouterr().err
-    assert "room.yaml: size, invert have no effect on a laser map" in told
+    assert "room.yaml: --size, --invert have no effect on a laser map" in told
     built("hill.png", "--option", "speckle=3")
     assert "speckle has no effect on a picture of a terrain" in capsys.readouterr().err
     built("room.yaml", "--max-error", "0.1")

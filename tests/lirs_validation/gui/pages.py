@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 
-def upload(page: Any, button: str, path: Path) -> None:
-    """Choose a file at a button."""
+def upload(page: Any, button: str, *paths: Path) -> None:
+    """Choose files at a button."""
     with page.expect_file_chooser() as chooser:
         page.get_by_role("button", name=button).click()
-    chooser.value.set_files(path)
+    chooser.value.set_files(paths)
 
 
 def drop(page: Any, *paths: Path) -> None:

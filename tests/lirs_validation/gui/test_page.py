@@ -92,13 +92,13 @@ def test_a_place_where_no_robot_can_stand_is_named(open_page: Open, server: Any)
 
 def test_a_refused_file_changes_nothing(open_page: Open, server: Any, picture: Path, tmp_path: Path) -> None:
     page = open_page()
-    upload(page, "Open a file", picture)
+    upload(page, "Open files", picture)
     page.get_by_text("hill (terrain)").wait_for()
     wait_for(lambda: field(page, "source").input_value() == "hill.png")
     shown = server.pages[0].world.shown
     broken = tmp_path / "broken.png"
     broken.write_bytes(picture.read_bytes()[:200])
-    upload(page, "Open a file", broken)
+    upload(page, "Open files", broken)
     page.get_by_text("broken.png: ").wait_for()
     assert page.get_by_text("hill (terrain)").is_visible()
     assert field(page, "source").input_value() == "hill.png"

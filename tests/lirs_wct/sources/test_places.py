@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from lirs_validation.cli.commands.info import facts_table
-from lirs_validation.gui.construction import built_facts
+from lirs_validation.gui.construction import preview_facts
+from lirs_validation.metrics.world_facts import ground_facts, measured_facts
 from lirs_wct import World, write_package
 from lirs_wct.errors import ConfigError
 from lirs_wct.sources.build import build_world
@@ -76,7 +76,7 @@ def test_absolute_heights_and_what_undoes_them(folder: Path) -> None:
     for options in ({"height": 3.0}, {"z_scale": 2.0}, {"scale": (1.0, 1.0, 2.0)}, {"invert": True}):
         place = built(folder / "a.asc", **options).place
         assert place.height is None
-        with pytest.raises(ConfigError, match=r"a\.asc: the option zero needs the file's own heights"):
+        with pytest.raises(ConfigError, match=r"a\.asc: --option zero needs the file's own heights"):
             built(folder / "a.asc", zero=700.0, **options)
 
 
@@ -120,10 +120,9 @@ def test_gazebo_and_info_are_told(folder: Path, tmp_path: Path) -> None:
     assert float(found["longitude_deg"]) == pytest.approx(float(longitude), abs=1e-8)
     assert float(found["elevation"]) == pytest.approx(680, abs=1)
     assert float(found["heading_deg"]) == pytest.approx(0, abs=1e-6)
-    line = dict(built_facts(world))["place on earth"]
+    line = dict(preview_facts(world))["place on earth"]
     assert re.fullmatch(r"EPSG:3857, 40\.7\d{5} N 74\.0\d{5} W, z = 0 at 680\.\d\d m", line)
-    table = facts_table(world)
-    assert ("place on earth", line) in set(zip(*(column.cells for column in table.columns), strict=True))
+    assert ("place on earth", line) in ground_facts(world)
 
 
 def test_info_promises_no_start_between_coarse_samples(folder: Path) -> None:
@@ -133,8 +132,7 @@ def test_info_promises_no_start_between_coarse_samples(folder: Path) -> None:
         (30.0, ", unknown whether {} can stand between the samples"),
     ):
         sampled = replace(world, ground=replace(world.ground, sample_spacing=spacing))
-        table = facts_table(sampled)
-        rows = dict(zip(*(column.cells for column in table.columns), strict=True))
+        rows = dict(measured_facts(sampled))
         assert rows["start poses"] == f"{len(world.spawn_poses)}{text.format(world.spawn_for)}"
 
 
@@ -154,7 +152,7 @@ def test_a_picture_lies_nowhere(tmp_path: Path) -> None:
     assert world.place is None
     with pytest.raises(ConfigError, match="simple: its source does not say where on the earth it lies"):
         world.to_geographic(0.0, 0.0)
-    assert "place on earth" not in dict(built_facts(world))
+    assert "place on earth" not in dict(preview_facts(world))
 
 
 @pytest.mark.parametrize(

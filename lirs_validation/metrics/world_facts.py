@@ -1,4 +1,4 @@
-"""Tables of `info`: facts of a world, and of a log."""
+"""Facts of a world in words, as `info` and the live page show them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from rich.table import Table
 
 from lirs_envs.robots.robot import ROBOTS, make_robot
-from lirs_validation.logs.preflight import Preflight
 from lirs_validation.metrics.world_geometry import mesh_error, scan_support
 from lirs_wct import Float32Array, HeightField, World
 
+Facts = tuple[tuple[str, str], ...]
+"""Names and values, to be shown as a table."""
 CELLS, MAP_CELLS = 1000, 2000
 """Cells along the longer side, at most, of the grid on which drivable ground is counted: of a terrain, and of
 a laser map, whose walls are thin."""
@@ -21,13 +21,16 @@ STRIP = 256
 """Rows of nodes whose slopes are computed together."""
 
 
-def facts_table(world: World, robot: str = "husky") -> Table:
-    """Return facts of a world and of a scanner's view as a table."""
-    table = Table(title=f"{world.name}: {world.kind}, {world.scale}", show_header=False, title_justify="left")
-    for facts in (_ground_facts(world), _robot_facts(world, robot), _mesh_facts(world)):
-        for row in facts:
-            table.add_row(*row)
-    return table
+def ground_facts(world: World) -> Facts:
+    """Return extent and heights of a world."""
+    return tuple(_ground_facts(world))
+
+
+def measured_facts(world: World, robot: str = "husky") -> Facts:
+    """Return slopes, drivable ground, a scanner's view, start poses and mesh of a world."""
+    median, p95 = np.percentile(_slopes(world.surface), (50, 95), overwrite_input=True).tolist()
+    slopes = "slopes", f"median {median:.1f} deg, 95 % below {p95:.1f} deg"
+    return slopes, *_robot_facts(world, robot), *_mesh_facts(world)
 
 
 def _ground_facts(world: World) -> Iterator[tuple[str, str]]:
@@ -42,8 +45,6 @@ def _ground_facts(world: World) -> Iterator[tuple[str, str]]:
         cells = f"{walls.solid.sum()} of {walls.solid.size} cells of {walls.resolution:g} m"
         yield "walls", f"{cells}, {walls.height:g} m high"
     yield "heights", f"{surface.z.min():.3f} to {surface.z.max():.3f} m"
-    median, p95 = np.percentile(_slopes(surface), (50, 95), overwrite_input=True).tolist()
-    yield "slopes", f"median {median:.1f} deg, 95 % below {p95:.1f} deg"
 
 
 def _robot_facts(world: World, robot: str) -> Iterator[tuple[str, str]]:
@@ -72,27 +73,17 @@ def _mesh_facts(world: World) -> Iterator[tuple[str, str]]:
     yield "mesh error", error
 
 
-def preflight_table(log: str, preflight: Preflight) -> Table:
-    """Return the facts of a log and its deviations as a table to print."""
-    table = Table(title=log, show_header=False, title_justify="left")
-    for name, value in preflight.facts:
-        table.add_row(name, value)
-    for finding in preflight.findings:
-        table.add_row("deviation", str(finding), style="yellow")
-    for repair in preflight.repairs:
-        table.add_row("put right", repair, style="yellow")
-    return table
-
-
-def _resolves(world: World, robot: str) -> bool:
-    return world.sample_spacing is None or world.sample_spacing <= 2 * ROBOTS[robot].radius
+def unresolved_robots(world: World) -> tuple[str, ...]:
+    """Return the robots for which the samples of a source are too far apart."""
+    spacing = world.sample_spacing or 0.0
+    return tuple(name for name, robot in ROBOTS.items() if spacing > 2 * robot.radius)
 
 
 def _starts(world: World) -> str:
     """Return how many there are, and for whom if the source's samples resolve that robot."""
     if not world.spawn_poses:
         return "none: no robot on wheels fits"
-    if world.spawn_for and not _resolves(world, world.spawn_for):
+    if world.spawn_for in unresolved_robots(world):
         return f"{len(world.spawn_poses)}, unknown whether {world.spawn_for} can stand between the samples"
     whom = f", for {world.spawn_for} and smaller robots" if world.spawn_for else ""
     return f"{len(world.spawn_poses)}{whom}"
@@ -116,7 +107,7 @@ def _drivable(world: World) -> Iterator[tuple[str, str]]:
     grids = world.traversable_by(limits, resolution)
     for (name, robot), grid in zip(ROBOTS.items(), grids, strict=True):
         text = f"{100 * float(grid.free.mean()):.1f} %, up to {math.degrees(robot.max_slope):.0f} deg"
-        if not _resolves(world, name):
+        if name in unresolved_robots(world):
             length = f"{2 * robot.radius:.2g} m"
             text = f"unknown: samples {world.sample_spacing:.3g} m apart do not resolve {length}"
         yield name, text
