@@ -43,7 +43,7 @@ PREVIEW_NODES = 129
 
 
 def preview_facts(world: World) -> Facts:
-    """Return the facts of a world before it is built, with the limits of an elevation model."""
+    """Return the facts of a world before it is built, and its limits."""
     west, south, east, north = world.surface.bounds
     facts = [("world", f"{world.name} ({world.kind})"), *ground_facts(world)]
     facts.append(("x and y", f"{west:.5g} to {east:.5g} m, {south:.5g} to {north:.5g} m"))
@@ -68,7 +68,7 @@ class Shown:
 def preview(
     source: str, options: BuildOptions, folder: Path, progress: Progress = no_progress, **mapping: Any
 ) -> Shown:
-    """Return a coarse world of a source; a log is checked, and mapped the first time."""
+    """Return a coarse world; a log is checked, and mapped the first time."""
     mapped = str(resolve_source(source, options, folder / "maps", progress, **mapping))
     if mapped != source:
         log = check_log_file(source, **mapping)
@@ -165,7 +165,7 @@ def joined_files(name: str, content: bytes) -> list[tuple[str, bytes]]:
 
 
 def main_files(paths: Sequence[Path]) -> Sequence[Path]:
-    """Return the files that the others belong to: maps, else meshes, clouds and logs, else pictures."""
+    """Return the maps of an upload, else meshes, clouds and logs, else pictures."""
     maps = [path for path in paths if path.suffix.lower() in MAPS]
     sites = [path for path in paths if path.suffix.lower() in SITES]
     return maps or sites or [path for path in paths if not SIDECAR.fullmatch(path.suffix.lower())] or paths

@@ -73,7 +73,7 @@ class Guard:
 
     @property
     def map_seen(self) -> bool:
-        """Whether one of the kept hints is about a picture that looks like a laser map."""
+        """Whether a kept hint tells of a picture that looks like a map."""
         return any(isinstance(note, MapPictureWarning) for note in self._notes)
 
     def done(self) -> None:

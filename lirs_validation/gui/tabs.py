@@ -119,7 +119,7 @@ class WorldTab:
         return str(path)
 
     def open(self, name: str, content: bytes) -> None:
-        """Show an upload of one file or several; world and controls stay if it is refused."""
+        """Show one file or several; world and controls stay if refused."""
 
         def show_files() -> None:
             self._page.scenarios.clear()  # a new file may have the name of an old one
@@ -150,7 +150,7 @@ class WorldTab:
         self._show(shown, (("preview", f"{triangles:,} triangles"),))
 
     def _read(self, source: str) -> BuildOptions:
-        """Return the options of a source; a picture that is read as a map has a usual resolution."""
+        """Return a source's options, with a resolution if it is read as a map."""
         given = self._options.read()
         if source in self._maps:
             if given["resolution"] is None:

@@ -57,7 +57,7 @@ def preview_world(source: str | Path, options: BuildOptions) -> World:
 
 
 def coarser(world: World, nodes: int) -> World:
-    """Return a terrain on at most so many nodes a side; other worlds are returned as they are."""
+    """Return a terrain on at most so many nodes a side; others stay."""
     if not isinstance(world.ground, Terrain) or world.ground.no_ground is not None:
         return world
     return replace(world, ground=Terrain(fewer_nodes(world.surface, nodes)), scale="preview")
