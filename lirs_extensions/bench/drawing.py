@@ -148,7 +148,7 @@ class TaskDrawing:
     def draw(self, name: str, seed: int, k: int) -> BenchTask:
         """Draw task `k` as the environment draws episodes.
 
-        A start, and a goal if there is one, have room around them and a way between them. The goal is 16 to
+        A start, and a goal if there is one, have room around them and a way between them. The goal is 10 to
         30 m away, or as far as the world allows; where that finds none, 2 to 3 m.
 
         Raises:
