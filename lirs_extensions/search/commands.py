@@ -154,6 +154,5 @@ def twin(options: TwinCommand, given: Annotated[dict[str, Any], MapConfig]) -> N
             command=command_line(),
             progress=progress,
         )
-    _show(folder / "twin.html", *result.sentences)
-    words = ("validate", "medium", "--noise", str(folder / "noise.yaml"), "-o", str(options.output))
-    _show(f"next: {shlex.join(('lirs-wct', *words))}")
+    words = ("lirs-wct", "validate", "medium", "--noise", folder / "noise.yaml", "-o", options.output)
+    _show(folder / "twin.html", *result.sentences, f"next: {shlex.join(map(str, words))}")

@@ -292,13 +292,14 @@ def conclude_log(entry: Entry) -> tuple[Conclusion, str]:
     if own is not None:
         clauses.append(f"its walls agree {_up_to(own, AGREEING)}")
     if other is not None:
-        walls = "" if own is not None else " walls agree"
-        clauses.append(f"{second['mapper']}'s{walls} {_up_to(other, min((own or 1.0) / BETTER, AGREEING))}")
+        agreed = _up_to(other, min((own or 1.0) / BETTER, AGREEING))
+        clauses.append(f"{second['mapper']}'s {'walls agree ' if own is None else ''}{agreed}")
+        clauses[-2:] = [", ".join(clauses[-2:])]
     if second.get("difference") is not None:
         clauses.append(f"the two paths differ by {second['difference']:.2f} m")
     if better:
         clauses.append(f"{second['command']} gives the better path")
-    return conclusion, ", ".join(clauses)
+    return conclusion, "; ".join(clauses)
 
 
 def _up_to(residual: float, most: float) -> str:
