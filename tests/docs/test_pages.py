@@ -92,7 +92,7 @@ def test_every_option_and_group_of_the_environments_is_explained() -> None:
 
 @pytest.mark.parametrize("kind", [LaserScan, OccupancyGrid])
 def test_the_guide_for_mappers_lists_the_fields_of_their_values(kind: type) -> None:
-    section = (DOCS / "bring_your_own_mapper.md").read_text().split(f"\n### {kind.__name__}\n")[1]
+    section = (DOCS / "bring_your_own_mapper.md").read_text().split(f"\n## {kind.__name__}\n")[1]
     rows = re.findall(r"^\| (`[^|]*) \| ([^|]*) \|", section.partition("\n#")[0], re.MULTILINE)
     listed = {name: form for names, form in rows for name in re.findall(r"`(\w+)`", names)}
     assert list(listed) == [field.name for field in fields(kind)]
