@@ -20,7 +20,7 @@ Forces, tip-overs and stuck time are reported without a limit: they belong to th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -122,13 +122,9 @@ class CollisionVerdict:
     def checks(self) -> tuple[Check, ...]:
         """Every metric that has a limit."""
         peak, limit = 1e3 * self.penetration_peak, 1e3 * self.penetration_limit
+        p999 = 1e3 * self.penetration_p999
         found = [
-            Check(
-                name="penetration, 99.9 %",
-                value=1e3 * self.penetration_p999,
-                limit=1e3 * MAX_DEPTH,
-                unit="mm",
-            ),
+            Check(name="penetration, 99.9 %", value=p999, limit=1e3 * MAX_DEPTH, unit="mm"),
             Check(name="penetration, peak", value=peak, limit=limit, unit="mm"),
             Check(name="centers inside", value=self.inside_steps, limit=0, unit="steps"),
             Check(name="energy gained", value=self.energy_gain, limit=self.energy_limit, unit="J"),
@@ -244,7 +240,8 @@ def penetrations(legs: Sequence[Leg]) -> tuple[float, Bounded]:
             arm = contact.point - leg.position[since]
             speed = -(leg.velocity[since] + np.cross(leg.spin[since], arm)) @ contact.normal
             peaks.append(Bounded(contact.depth, max(MAX_DEPTH, IMPACT * float(speed.max()))))
-    return float(np.quantile(depth, 0.999)), worst(peaks or [Bounded(float(depth.max()), MAX_DEPTH)])
+    peaks = peaks or [Bounded(float(depth.max()), MAX_DEPTH)]
+    return float(np.quantile(depth, 0.999)), max(peaks, key=lambda peak: peak.ratio)
 
 
 def energy_gain(legs: Sequence[Leg], weight: float) -> Bounded:
@@ -265,7 +262,7 @@ def energy_gain(legs: Sequence[Leg], weight: float) -> Bounded:
         limit = weight * MAX_DEPTH + RETURNED * kinetic
         k = int(np.argmax(gain / limit))
         gains.append(Bounded(float(gain[k]), float(limit[k])))
-    return worst(gains)
+    return max(gains, key=lambda gain: gain.ratio)
 
 
 def inside_steps(leg: Leg, inside: InsideTest) -> BoolArray:
@@ -285,11 +282,6 @@ def stuck_seconds(legs: Sequence[Leg]) -> float:
             upright = bool((leg.upright[k : k + span] >= TIPPED).all())
             total += commanded > 0 and upright and moved < STANDS * commanded
     return total * WINDOW
-
-
-def worst(values: Iterable[Bounded]) -> Bounded:
-    """Return the value that is highest against its limit."""
-    return max(values, key=lambda bounded: bounded.ratio)
 
 
 def inside_test(world: World, body: RobotModel, terrain: ContactGeometry) -> InsideTest:

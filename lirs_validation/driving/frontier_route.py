@@ -76,16 +76,6 @@ class ExplorationMap:
         distance: FloatArray = np.hypot(rows - cell[0], cols - cell[1]) * self.grid.resolution
         return distance
 
-    def last_visits(self, stood: FloatArray, distance: float) -> IntArray:
-        """Return (rows, cols) the index of the last visit within a distance.
-
-        The visits are places (n, 2); -1 = none.
-        """
-        visits = np.full(self.known.shape, -1, np.int32)
-        for k, (row, col) in enumerate(self.grid.cells(stood).tolist()):
-            cv2.circle(visits, (col, row), round(distance / self.grid.resolution), k, -1)
-        return visits.astype(np.int64)
-
 
 def exploration_map(
     mapped: OccupancyGrid, stood: FloatArray, blocked: FloatArray, *, footprint: float, clearance: float
@@ -264,16 +254,14 @@ class FrontierRoute:
         self._blocked.append((*point, radius))
 
     def _ahead(self, chart: ExplorationMap, pose: Pose2) -> IntArray | None:
-        """Return the cells (n, 2) straight ahead at the start of a drive.
-
-        None later, or if they are blocked.
+        """Return the cells (n, 2) straight ahead at the start of a drive, None later or if they are blocked.
 
         Turning wheels slip most while a mapper knows least.
         """
         left = STRAIGHT - math.dist(self._stood[0], self._stood[-1])
-        ahead = (
-            cells_ahead(chart.grid, chart.passable, pose, left) if left > 0 else np.empty((0, 2), np.int64)
-        )
+        if left <= 0:
+            return None
+        ahead = cells_ahead(chart.grid, chart.passable, pose, left)
         return ahead if len(ahead) * chart.grid.resolution > self._config.step else None
 
     def _to_frontier(self, chart: ExplorationMap, pose: Pose2, first: IntArray) -> IntArray | None:
@@ -287,9 +275,7 @@ class FrontierRoute:
         weight = penalize_behind(chart.weight, first, local, ARC / chart.grid.resolution)
         reach = search(weight, first[None], chart.grid.resolution, goals=goals, slack=self.slack)
         found = np.argwhere(goals & np.isfinite(reach.cost))
-        if not len(found):
-            return None
-        return reach.path(self._best(chart, reach, found, pose))
+        return reach.path(self._best(chart, reach, found, pose)) if len(found) else None
 
     def _unseen(self, chart: ExplorationMap, pose: Pose2) -> BoolArray:
         """Return the frontier without cells looked at often enough; count the present look."""
@@ -297,12 +283,8 @@ class FrontierRoute:
         cells = np.argwhere(frontier)
         places = np.floor(chart.grid.centers(cells) / PLACE).astype(np.int64) @ (1, 1 << 32)
         distance = distance_in_sight(chart, pose, cells)
-        looks = np.where(
-            distance <= FAR_DISTANCE,
-            np.minimum(1.0, (NEAR_DISTANCE / np.maximum(distance, NEAR_DISTANCE)) ** 2),
-            0.0,
-        )
-        looked = looks > 0
+        looks = (NEAR_DISTANCE / np.maximum(distance, NEAR_DISTANCE)) ** 2
+        looked = distance <= FAR_DISTANCE
         for place, look in dict(zip(places[looked].tolist(), looks[looked].tolist(), strict=True)).items():
             self._looks[place] = self._looks.get(place, 0.0) + look
         spent = [place for place, looked in self._looks.items() if looked >= LOOKS]
@@ -322,7 +304,9 @@ class FrontierRoute:
 
     def _to_old_place(self, chart: ExplorationMap, first: IntArray) -> IntArray | None:
         """Return the cells (n, 2) to the nearest place left longest ago; None without one."""
-        left = chart.last_visits(np.array(self._stood), NEIGHBORHOOD)
+        left = np.full(chart.known.shape, -1, np.int32)  # number of the last visit nearby
+        for k, (row, col) in enumerate(chart.grid.cells(self._stood).tolist()):
+            cv2.circle(left, (col, row), round(NEIGHBORHOOD / chart.grid.resolution), k, -1)
         reach = search(chart.weight, first[None], chart.grid.resolution)
         cells = np.argwhere((chart.room > 0) & (reach.cost > self._config.step) & np.isfinite(reach.cost))
         if not len(cells):

@@ -230,11 +230,11 @@ def arc_length(points: FloatArray) -> FloatArray:
     return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
 
 
-def curvature(points: FloatArray, baseline: int = 3) -> FloatArray:
-    """Return (n,) 1/m: change of direction over `baseline` steps on both sides, by the distance."""
+def curvature(points: FloatArray) -> FloatArray:
+    """Return (n,) 1/m: change of direction over three steps on both sides, by the distance."""
     n = len(points)
     i = np.arange(n)
-    before, after = points[np.maximum(i - baseline, 0)], points[np.minimum(i + baseline, n - 1)]
+    before, after = points[np.maximum(i - 3, 0)], points[np.minimum(i + 3, n - 1)]
     a, b = points - before, after - points
     turn = np.abs(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1)))
     length = (np.linalg.norm(a, axis=1) + np.linalg.norm(b, axis=1)) / 2

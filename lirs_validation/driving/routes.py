@@ -89,16 +89,7 @@ LOOP = 50.0
 
 
 class TourRoute:
-    """Tours that cover the free ground for a time.
-
-    Attributes:
-        radius: Distance within which a cell is covered, meters.
-
-    Args:
-        free: Free cells = where the robot's center may be, world frame.
-        start: Any pose; only cells reachable from there count.
-        surface: The ground, for slower driving where it is steep.
-    """
+    """Tours that cover the ground (see `FreeGround`) for a time, each cell within `radius` meters."""
 
     frame: Frame = "world"
     refresh = math.inf
@@ -241,14 +232,9 @@ class TourRoute:
 
 
 class WaypointRoute:
-    """Route through waypoints.
+    """Route through waypoints on the ground (see `FreeGround`).
 
     A path ends at the last one, and at each with a wanted yaw.
-
-    Args:
-        waypoints: Waypoints still to come, world frame.
-        free: Grid whose free cells are places for the robot's center, world frame.
-        surface: Heights of the ground, for slower driving where it is steep.
     """
 
     frame: Frame = "world"

@@ -21,19 +21,8 @@ STRIP = 256
 """Rows of nodes whose slopes are computed together."""
 
 
-def ground_facts(world: World) -> Facts:
-    """Return extent and heights of a world."""
-    return tuple(_ground_facts(world))
-
-
-def measured_facts(world: World, robot: str = "husky") -> Facts:
-    """Return slopes, drivable ground, a scanner's view, start poses and mesh of a world."""
-    median, p95 = np.percentile(_slopes(world.surface), (50, 95), overwrite_input=True).tolist()
-    slopes = "slopes", f"median {median:.1f} deg, 95 % below {p95:.1f} deg"
-    return slopes, *_robot_facts(world, robot), *_mesh_facts(world)
-
-
-def _ground_facts(world: World) -> Iterator[tuple[str, str]]:
+def ground_facts(world: World) -> Iterator[tuple[str, str]]:
+    """Yield extent and heights of a world."""
     surface, walls = world.surface, world.walls
     (width, depth), (nodes_north, nodes_east), (across, along) = surface.size, surface.shape, surface.cell
     yield "size", f"{width:g} x {depth:g} m"
@@ -47,9 +36,11 @@ def _ground_facts(world: World) -> Iterator[tuple[str, str]]:
     yield "heights", f"{surface.z.min():.3f} to {surface.z.max():.3f} m"
 
 
-def _robot_facts(world: World, robot: str) -> Iterator[tuple[str, str]]:
-    for name, text in _drivable(world):
-        yield f"drivable, {name}", text
+def measured_facts(world: World, robot: str = "husky") -> Iterator[tuple[str, str]]:
+    """Yield slopes, drivable ground, a scanner's view, start poses and mesh of a world."""
+    median, p95 = np.percentile(_slopes(world.surface), (50, 95), overwrite_input=True).tolist()
+    yield "slopes", f"median {median:.1f} deg, 95 % below {p95:.1f} deg"
+    yield from _drivable(world)
     support, hits = scan_support(world, make_robot(robot)), "-"
     if support.poses:
         hits = (
@@ -59,9 +50,6 @@ def _robot_facts(world: World, robot: str) -> Iterator[tuple[str, str]]:
     yield f"walls in sight, {support.robot}", hits
     yield "expectation", support.expectation
     yield "start poses", _starts(world)
-
-
-def _mesh_facts(world: World) -> Iterator[tuple[str, str]]:
     mesh, error = world.file_mesh, "exact"
     yield "triangles", f"{len(mesh.faces)}"
     yield "watertight", f"{'yes' if mesh.is_watertight_as_written else 'no'}, {mesh.volume:.6g} m3"
@@ -100,7 +88,7 @@ def _slopes(surface: HeightField) -> Float32Array:
 
 
 def _drivable(world: World) -> Iterator[tuple[str, str]]:
-    """Yield each robot with the share of the ground where its center may be, in words."""
+    """Yield the share of the ground where each robot's center may be."""
     cells = CELLS if world.walls is None else MAP_CELLS
     resolution = max(0.1, max(world.surface.size) / cells)
     limits = [(robot.radius, robot.max_slope) for robot in ROBOTS.values()]
@@ -110,4 +98,4 @@ def _drivable(world: World) -> Iterator[tuple[str, str]]:
         if name in unresolved_robots(world):
             length = f"{2 * robot.radius:.2g} m"
             text = f"unknown: samples {world.sample_spacing:.3g} m apart do not resolve {length}"
-        yield name, text
+        yield f"drivable, {name}", text
