@@ -135,8 +135,9 @@ def compare(
         for metric in metrics
         if (difference := _difference(group, metric, runs_a[group], runs_b[group])) is not None
     ]
+    corrected = iter(holm(np.array([d.p for d in found if d.p is not None])).tolist())
     return Comparison(
-        differences=correct_p_values(found),
+        differences=tuple(d if d.p is None else replace(d, p_corrected=next(corrected)) for d in found),
         only_a=tuple(group for group in runs_a if group not in runs_b),
         only_b=tuple(group for group in runs_b if group not in runs_a),
         common={group: (list(runs_a[group].values()), list(runs_b[group].values())) for group in common},
@@ -163,16 +164,6 @@ def by_shared(entries: Sequence[Entry], across: Sequence[str]) -> dict[RunGroup,
             raise ConfigError(f"{both}; they differ in {values}: choose one as FOLDER:{choice}")
         runs[seed] = entry
     return groups
-
-
-def correct_p_values(differences: Sequence[Difference]) -> tuple[Difference, ...]:
-    """Return the differences with their p values corrected after Holm."""
-    tested = [k for k, d in enumerate(differences) if d.p is not None]
-    raw = np.array([differences[k].p for k in tested], dtype=np.float64)
-    result = list(differences)
-    for k, p in zip(tested, holm(raw).tolist(), strict=True):
-        result[k] = replace(differences[k], p_corrected=p)
-    return tuple(result)
 
 
 def _difference(

@@ -169,11 +169,10 @@ def _export_npz(run: RunFolder, out: Path) -> Path:
 
 
 def _export_carmen(run: RunFolder, out: Path) -> Path:
-    target = out / "scans.clf.gz"
     carmen_log.read_carmen(run.folder / "scans.clf.gz")
-    with atomic_write(target) as path:
+    with atomic_write(out / "scans.clf.gz") as path:
         shutil.copyfile(run.folder / "scans.clf.gz", path)
-    return target
+    return out / "scans.clf.gz"
 
 
 def _tables(run: RunFolder) -> dict[str, FloatArray]:

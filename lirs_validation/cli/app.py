@@ -44,7 +44,9 @@ def main() -> None:
         sys.exit(ExitCode.BAD_INPUT)
     except click.ClickException as error:
         _fail(error.format_message())
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt, SystemError) as error:
+        if isinstance(error, SystemError) and not is_interrupt(error):
+            raise
         _fail("interrupted; nothing half-written was left", ExitCode.INTERRUPTED)
     except OSError as error:
         if error.errno not in DISK_FULL:
@@ -53,10 +55,6 @@ def main() -> None:
         with suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         _fail(f"{error.filename or 'output'}: cannot be written: {error.strerror}")
-    except SystemError as error:
-        if not is_interrupt(error):
-            raise
-        _fail("interrupted; nothing half-written was left", ExitCode.INTERRUPTED)
     gc.freeze()  # nothing is left to collect; the end of the interpreter would look through all of it
     sys.exit(code if isinstance(code, int) else 0)
 

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from threading import Timer
 from typing import TYPE_CHECKING
 
@@ -116,9 +117,9 @@ class ProgressNotes:
         if step != "compile":
             self.end(work)
         elif work not in self._compilations and not self._explained:
-            self._compilations[work] = Timer(SLOW_COMPILATION, self._explain)
-            self._compilations[work].daemon = True
-            self._compilations[work].start()
+            timer = self._compilations[work] = Timer(SLOW_COMPILATION, self._explain)
+            timer.daemon = True
+            timer.start()
         if not self._console.is_terminal and self._clock() >= self._due:
             self._due = self._clock() + LINE_PERIOD
             text = f"{text}, {share:.0%}{left and f', {left}'}"
@@ -175,16 +176,13 @@ def run_with_progress(
             bar.update(task, description=text, completed=completed, left=left)
             notes.observe(name, step, text, completed / total, left)
 
-        def progress_of(name: str) -> Progress:
-            def progress(step: str, share: float) -> None:
-                watch(name, step, share)
-                running[name] = share
-                time_left.begin(name)
-                show(name, step)
+        def progress(name: str, step: str, share: float) -> None:
+            watch(name, step, share)
+            running[name] = share
+            time_left.begin(name)
+            show(name, step)
 
-            return progress
-
-        for outcome in sweep.run(executor, progress_of):
+        for outcome in sweep.run(executor, lambda name: partial(progress, name)):
             running.pop(outcome.task, None)
             time_left.end(outcome.task, outcome.compile_seconds)
             done += 1

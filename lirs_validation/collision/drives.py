@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import cycle, zip_longest
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import mujoco
@@ -137,17 +137,12 @@ class ContactRecorder:
 
     def leg(self, *, tipped: bool = False, diverged: str = "") -> Leg:
         """Return the log of all steps."""
-        columns: dict[str, FloatArray] = {
-            name: np.array([row[name] for row in self._rows]) for name in self._rows[0]
-        }
+        columns: Any = {name: np.array([row[name] for row in self._rows]) for name in self._rows[0]}
         timestep = self.body.timestep
         return Leg(**columns, deep=tuple(self._deep), timestep=timestep, tipped=tipped, diverged=diverged)
 
     def _work(self) -> float:
-        """Return the motors' work in the last step.
-
-        It is the force times the mean of the speeds before and after.
-        """
+        """Return the motors' work in the last step: force times the mean of the speeds before and after."""
         data, moment = self.body.data, self._moment
         mujoco.mju_sparse2dense(
             moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
@@ -272,10 +267,7 @@ class Climb(NamedTuple):
 
 
 def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
-    """Test holding and climbing at the steepest drivable place.
-
-    The place is one robot's length long. None if the robot cannot stand anywhere.
-    """
+    """Test holding and climbing at the steepest drivable place; None if the robot can stand nowhere."""
     for slope, start in _steepest(world, robot):
         try:
             body.settle(standing_pose(world, robot, start))
@@ -319,10 +311,7 @@ def _course(robot: Robot) -> tuple[float, float, float]:
 
 
 def _steepest(world: World, robot: Robot) -> list[tuple[float, Pose2]]:
-    """Return slopes (radians) and poses facing uphill, from where the climb ends on free ground.
-
-    The steepest legal ones come first.
-    """
+    """Return slopes (radians) and poses facing uphill to free ground, the steepest legal ones first."""
     free = world.traversable(clearance=robot.radius + CLEARANCE, max_slope=robot.max_slope)
     cells = np.argwhere(free.free)
     x, y = free.centers(cells[:: max(1, len(cells) // MAX_SLOPE_CELLS)]).T

@@ -118,12 +118,9 @@ class Route(Protocol):
     ends: str
 
     def path(self, pose: Pose2, time: float, undriven: float | None) -> Path | None:
-        """Return the path from a pose; None if there is none now.
+        """Return the path from the robot's pose, seconds after the start; None if there is none now.
 
-        Args:
-            pose: Pose of the robot.
-            time: Seconds since the start.
-            undriven: Rest of the former path, meters; None = this is the first one.
+        `undriven` is the rest of the former path, meters; None = this is the first one.
         """
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
@@ -136,12 +133,7 @@ BACK = Pose2(0.0, 0.0, math.pi)
 
 
 class PathDriver:
-    """Follower of the paths of a route (see `Driver`).
-
-    Attributes:
-        state: Present activity.
-        config: Parameters.
-    """
+    """Follower of the paths of a route (see `Driver`)."""
 
     def __init__(self, route: Route, start: Pose2, config: DriverConfig) -> None:
         self.start, self.frame = start, route.frame
@@ -208,10 +200,7 @@ class PathDriver:
         return twist
 
     def _turn(self, pose: Pose2, time: float) -> Twist:
-        """Turn in place to the yaw at the path's end.
-
-        Go on once it is reached, or the robot cannot turn.
-        """
+        """Turn in place to the yaw at the path's end, until it is reached or the robot cannot turn."""
         error = math.remainder((self._path.yaw or 0.0) - pose.yaw, math.tau)
         if abs(error) <= self.config.facing or time - self._moved_at > self.config.patience:
             self._replan(pose, time)

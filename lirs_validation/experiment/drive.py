@@ -157,9 +157,7 @@ T = TypeVar("T")
 class PackedList(Generic[T]):
     """Append-only sequence that stores its values as numbers of one array.
 
-    Args:
-        pack: Function that returns the numbers of a value, always as many.
-        unpack: Function that makes the value of these numbers.
+    `pack` returns the numbers of a value, always as many; `unpack` makes the value of them.
     """
 
     def __init__(self, pack: Callable[[T], tuple[float, ...]], unpack: Callable[..., T]) -> None:

@@ -93,11 +93,9 @@ class ElevationScores:
 
 
 def elevation_map(points: Iterable[FloatArray], bounds: tuple[float, float, float, float]) -> ElevationMap:
-    """Return the elevation map of points.
+    """Return the elevation map of points (n, 3) in the world frame, meters.
 
-    Args:
-        points: arrays (n, 3) in the world frame, meters.
-        bounds: west, south, east, north of the map, meters; points beyond are left out.
+    Those beyond the bounds, west, south, east and north of the map, are left out.
     """
     west, south, east, north = bounds
     shape = max(1, math.ceil((north - south) / CELL - 1e-9)), max(1, math.ceil((east - west) / CELL - 1e-9))

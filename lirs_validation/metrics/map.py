@@ -276,15 +276,9 @@ def map_scores(
     truth: OccupancyGrid | None = None,
     alignment: StartAlignment | None = None,
 ) -> MapScores:
-    """Score a built map; all maps are in the world frame.
+    """Score a mapper's map by that of the true poses, the world, and the input laser map `truth`.
 
-    Args:
-        built: Map of the mapper.
-        true_pose: Map that our update makes of the same scans at the true poses.
-        surface: Ground of the world.
-        walls: Walls of the world.
-        truth: Input laser map.
-        alignment: Alignment of the built map's trajectory.
+    All maps are in the world frame; the alignment is that of the built map's trajectory.
     """
     built, true_pose = as_stored(built), as_stored(true_pose)
     seen = OccupancyGrid(sample_like(built, true_pose), true_pose.resolution, true_pose.origin)
@@ -457,11 +451,7 @@ def count_hits(world: World, hits: Sequence[FloatArray]) -> tuple[FloatArray, Fl
 
 
 def observed_support(world: World, scans: Sequence[LaserScan], poses: Sequence[Pose3]) -> dict[str, float]:
-    """Count returns and hits on walls of recorded scans at poses `T_world_base`.
-
-    Returns:
-        beams, range_max (meters), returns_median and walls_median per scan.
-    """
+    """Count returns and hits on walls of recorded scans at poses `T_world_base`, as in a record."""
     points = [
         (pose @ scan.T_base_laser).apply(scan.points)[:, :2] for scan, pose in zip(scans, poses, strict=True)
     ]

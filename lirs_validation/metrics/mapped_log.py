@@ -235,12 +235,8 @@ def contradicted_share(
 ) -> float | None:
     """Return the share of scans that contradict other passes; None without level scans.
 
-    One scan per half meter is tested; one that no other pass can test counts as consistent.
-
-    Args:
-        scans: Scans of a planar laser.
-        readings: Attitude at each scan; None where unknown.
-        trajectory: `T_map_base` of two scans or more, by their stamps.
+    One scan per half meter is tested; one that no other pass can test counts as consistent. The readings hold
+    the attitude at each scan, where it is known; the trajectory, `T_map_base` of two scans or more.
     """
     placed = _place_scans(scans, readings, trajectory)
     if placed is None:
@@ -351,20 +347,13 @@ def _place_scans(
         row[: len(sweep)] = sweep
     angles = np.array([(start, step) for _, start, step in sweeps])
     mounts = [scans[k].T_base_laser.to_pose2() for k in used]
-    sensors = np.array(
-        [
-            (Pose2(*pose) @ mount).as_array()
-            for pose, mount in zip(poses[chosen].tolist(), mounts, strict=True)
-        ]
-    )
+    placed = zip(poses[chosen].tolist(), mounts, strict=True)
+    sensors = np.array([(Pose2(*pose) @ mount).as_array() for pose, mount in placed])
     return _PlacedScans(ranges, angles, sensors, driven)
 
 
 def _select_spaced(poses: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return indices of spaced poses (n, 3), and the meters driven up to each.
-
-    They are at least a step or a turn apart.
-    """
+    """Return indices of poses (n, 3) at least a step or a turn apart, and the meters driven up to each."""
     chosen, driven, total = list[int](), list[float](), 0.0
     for k, (x, y, yaw) in enumerate(poses.tolist()):
         if chosen:

@@ -257,15 +257,9 @@ def start_alignment(truth: Trajectory, estimate: Trajectory) -> StartAlignment |
 def associated(
     first: FloatArray, second: FloatArray, *, max_gap: float = MAX_GAP
 ) -> tuple[IntArray, IntArray]:
-    """Pair each stamp of the shorter list with the nearest of the longer.
+    """Pair each stamp of the shorter increasing list (n,) with the nearest of the longer (m,), seconds.
 
-    Args:
-        first: (n,) seconds, increasing.
-        second: (m,) seconds, increasing.
-        max_gap: Largest difference of a pair, seconds.
-
-    Returns:
-        Two index vectors of one length, into `first` and `second`.
+    Returns the indices of both; the stamps of a pair differ by at most `max_gap`.
     """
     if len(first) > len(second):
         j, i = associated(second, first, max_gap=max_gap)

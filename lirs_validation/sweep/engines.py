@@ -60,11 +60,7 @@ class Failure:
 
 
 class WorkerPool:
-    """Processes for the jobs of one caller; a `with` block ends them.
-
-    Args:
-        seconds: Wall-clock time of a job; None = no limit.
-    """
+    """Processes for the jobs of one caller, `seconds` for each if limited; a `with` block ends them."""
 
     def __init__(self, size: int, seconds: float | None = None) -> None:
         self._size, self._seconds = size, seconds
@@ -286,11 +282,7 @@ class RayCluster:
     seconds: float | None = None
 
     def run(self, tasks: Sequence[SweepTask], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
-        """Run tasks into folders of `out`.
-
-        Raises:
-            ConfigError: Ray is not installed, or no cluster answers at the address.
-        """
+        """Run tasks into folders of `out`."""
         with ray_session(self.address, self.jobs) as ray:
             before = _machines(ray)
             yield from self._outcomes(ray, tasks, out)
@@ -393,7 +385,6 @@ def ray_session(address: str, jobs: int | None = None) -> Iterator[Any]:
     if ray.is_initialized():
         yield ray
         return
-    _probe_address(address)
     # Ray has no public switch for this: a lost machine's state (60 lines) would go to the terminal.
     ray._private.worker._worker_logs_enabled = False
     _connect(ray, address, jobs)
@@ -406,7 +397,10 @@ def ray_session(address: str, jobs: int | None = None) -> Iterator[Any]:
 def _connect(ray: Any, address: str, jobs: int | None) -> None:
     """Connect to the cluster at an address, or start one."""
     own: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False}
+    host, _, port = address.rpartition("://")[2].rpartition(":")
     try:
+        if port.isdigit():  # Ray itself would try for minutes
+            socket.create_connection((host, int(port)), timeout=PATIENCE).close()
         ray.init(
             address=address,
             **(own if address == LOCAL else {}),
@@ -414,17 +408,6 @@ def _connect(ray: Any, address: str, jobs: int | None) -> None:
             log_to_driver=False,
             logging_level=logging.ERROR,
         )
-    except (ConnectionError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"--address {address}: no Ray cluster answers there: {reason}") from error
-
-
-def _probe_address(address: str) -> None:
-    """Connect once to the address: Ray itself would try for minutes."""
-    host, _, port = address.rpartition("://")[2].rpartition(":")
-    if not port.isdigit():
-        return  # `local`, `auto`
-    try:
-        socket.create_connection((host, int(port)), timeout=PATIENCE).close()
-    except OSError as error:
-        raise ConfigError(f"--address {address}: no Ray cluster answers there: {error}") from error

@@ -243,11 +243,7 @@ class Sweep:
     def run(
         self, executor: Executor, progress_of: ProgressOf = lambda name: no_progress
     ) -> Iterator[Outcome]:
-        """Run pending tasks; yield each outcome once its folder is written.
-
-        Raises:
-            WctError: the only task cannot be run as it was asked for, or `out` not be written.
-        """
+        """Run pending tasks; yield each outcome once its folder is written."""
         if self.pending:
             check_writable(self.out)
         if self.kept:

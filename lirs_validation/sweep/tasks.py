@@ -162,12 +162,7 @@ STATUS = "cell.json"
 
 @dataclass(frozen=True, kw_only=True)
 class CollisionTask(SweepTask):
-    """The collision validation of a robot in a world.
-
-    Attributes:
-        seconds: Simulated time of the random drive.
-        seed: Seed of the random drive.
-    """
+    """The collision validation of a robot in a world, with a random drive of so many seconds."""
 
     source: str
     robot: str
@@ -241,14 +236,10 @@ def cross(
 ) -> tuple[RunConfig, ...]:
     """Return the config of every combination, source by source, in the order of RunConfig's fields.
 
+    A tuple among the options, which are fields of RunConfig, holds the values to cross.
+
     >>> [(c.mapper, c.seed) for c in cross("simple", mapper=("hector", "gmapping"), seed=(1, 2))]
     [('hector', 1), ('hector', 2), ('gmapping', 1), ('gmapping', 2)]
-
-    Args:
-        sources: one or several.
-        build: how sources become worlds; None = the defaults.
-        kind: class of the configs.
-        **options: fields of RunConfig; a tuple holds the values to cross, anything else is one value.
     """
     names = sorted(options, key=[f.name for f in fields(kind)].index)
     values = [options[name] if isinstance(options[name], tuple) else (options[name],) for name in names]
@@ -282,9 +273,7 @@ At the wall limit, seconds, a hopelessly slow drive is stopped, and its real-tim
 def make_suite(name: str, **options: Any) -> tuple[SweepTask, ...]:
     """Return the tasks of the paper's Sections V and III-D, world by world.
 
-    Args:
-        name: Name of the suite.
-        **options: options of every run, in place of the suite's own (`seconds`, `seed`, `wall_limit`).
+    The options are those of every run, in place of the suite's own (`seconds`, `seed`, `wall_limit`).
     """
     if name not in SUITES:
         raise unknown_name("suite", name, SUITES)
