@@ -70,12 +70,6 @@ class ExplorationMap:
         mask: BoolArray = near & (self.room > 0)
         return mask
 
-    def distance_to(self, cell: IntArray) -> FloatArray:
-        """Return (rows, cols) meters from each cell to one cell (2,), as the crow flies."""
-        rows, cols = np.ogrid[: self.known.shape[0], : self.known.shape[1]]
-        distance: FloatArray = np.hypot(rows - cell[0], cols - cell[1]) * self.grid.resolution
-        return distance
-
 
 def exploration_map(
     mapped: OccupancyGrid, stood: FloatArray, blocked: FloatArray, *, footprint: float, clearance: float
@@ -268,7 +262,8 @@ class FrontierRoute:
         """Return the cells (n, 2) to the best frontier; None where none can be reached."""
         goals = chart.goals(self._unseen(chart, pose), self._footprint + REACH)
         # A path shorter than a step ends as it begins: the robot would stand and replan at every scan.
-        goals &= chart.distance_to(first) > 2 * self._config.step
+        rows, cols = np.ogrid[: goals.shape[0], : goals.shape[1]]
+        goals &= np.hypot(rows - first[0], cols - first[1]) * chart.grid.resolution > 2 * self._config.step
         if not goals.any():
             return None
         local = pose.yaw - chart.grid.origin.yaw

@@ -33,10 +33,10 @@ def own_mapper(name: str, seed: int, options: Mapping[str, Any]) -> Mapper | Clo
     """
     if name.startswith("evalio:"):
         raise unknown_name("mapper", name, [each for each in ALL_CLOUD_MAPPERS if each.startswith("evalio:")])
-    mapper: Any = make_own(name, "mapper", "update", {"seed": seed, "resolution": RESOLUTION}, options)
+    offered = {"seed": seed, "resolution": RESOLUTION}
+    mapper: Mapper | CloudMapper = make_own(name, "mapper", "update", offered, options)
     check_members(mapper, name, "mapper", CLOUD_METHODS if reads_clouds(mapper) else METHODS, PROPERTIES)
-    own: Mapper | CloudMapper = mapper
-    return own
+    return mapper
 
 
 def own_class(name: str, what: str, method: str) -> Callable[..., Any]:

@@ -253,10 +253,10 @@ def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Ver
     return Verdict(kind, " ".join(part for part in parts if part), reasons)
 
 
-def judge_log(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
+def judge_log(entry: Entry) -> Verdict:
     """Return the verdict on the record of a mapped log, given as nested dicts."""
     figures = log_figures(entry)
-    kind, reasons = classify(figures, limits)
+    kind, reasons = classify(figures)
     log, reason, conclusion = entry["config"].get("log", entry["name"]), entry["reason"], None
     lead = LEADS[kind].format(who=short_name(entry["config"]["mapper"]), world=Path(log).name)
     if kind == "no reference":

@@ -128,11 +128,9 @@ class SweepTask(ABC):
     def attempt(
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
-        """Run the task. All exceptions, also `SystemExit`, become outcomes."""
+        """Run the task. All exceptions but Ctrl-C, also `SystemExit`, become outcomes."""
         try:
             return self.run(out, scenarios, progress, concurrent=concurrent)
-        except KeyboardInterrupt:
-            raise
         except BaseException as error:
             return outcome_of(error, self.name)
 

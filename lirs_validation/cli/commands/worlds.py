@@ -89,7 +89,16 @@ def build(options: BuildCommand, world_options: BuildOptions) -> None:
             overwrite=world_options.name is not None,
             progress=progress,
         )
-    _say_what_was_built(world, folder, options.to)
+    width, depth = world.surface.size
+    say(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
+    budget = world.file_options.max_error
+    if budget is not None and world.file_options != world.export_options and MESHES & {*options.to}:
+        say(
+            f"mesh files: {len(world.file_mesh.faces)} triangles within {1000 * budget:.3g} mm of the "
+            "height field everywhere; --max-error 0 keeps all"
+        )
+    if not world.spawn_poses:
+        say("start poses: none, no robot on wheels fits")
     for line in opening_lines(folder, options.to):
         say(line)
 
@@ -171,19 +180,6 @@ def convert(options: ConvertCommand, rotation: RotationOptions) -> None:
         mesh = convert_mesh(source, target, rotation.rotate_x)
     closed = "watertight" if mesh.is_watertight else "not watertight"
     say(f"{target}: {len(mesh.faces)} triangles, {closed}")
-
-
-def _say_what_was_built(world: lirs_wct.World, folder: Path, to: tuple[str, ...]) -> None:
-    width, depth = world.surface.size
-    say(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
-    budget = world.file_options.max_error
-    if budget is not None and world.file_options != world.export_options and MESHES & {*to}:
-        say(
-            f"mesh files: {len(world.file_mesh.faces)} triangles within {1000 * budget:.3g} mm of the "
-            "height field everywhere; --max-error 0 keeps all"
-        )
-    if not world.spawn_poses:
-        say("start poses: none, no robot on wheels fits")
 
 
 def _facts_table(title: str, facts: Iterable[tuple[str, str]]) -> Table:
