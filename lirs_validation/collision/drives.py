@@ -142,7 +142,7 @@ class ContactRecorder:
         return Leg(**columns, deep=tuple(self._deep), timestep=timestep, tipped=tipped, diverged=diverged)
 
     def _work(self) -> float:
-        """Return the motors' work in the last step: force times the mean of the speeds before and after."""
+        """Return the motors' work in the last step: force times mean speed."""
         data, moment = self.body.data, self._moment
         mujoco.mju_sparse2dense(
             moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
@@ -267,7 +267,7 @@ class Climb(NamedTuple):
 
 
 def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
-    """Test holding and climbing at the steepest drivable place; None if the robot can stand nowhere."""
+    """Test holding and climbing at the steepest place; None where it cannot stand."""
     for slope, start in _steepest(world, robot):
         try:
             body.settle(standing_pose(world, robot, start))

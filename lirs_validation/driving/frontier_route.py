@@ -248,7 +248,7 @@ class FrontierRoute:
         self._blocked.append((*point, radius))
 
     def _ahead(self, chart: ExplorationMap, pose: Pose2) -> IntArray | None:
-        """Return the cells (n, 2) straight ahead at the start of a drive, None later or if they are blocked.
+        """Return the free cells (n, 2) straight ahead at the start of a drive.
 
         Turning wheels slip most while a mapper knows least.
         """

@@ -118,9 +118,9 @@ class Route(Protocol):
     ends: str
 
     def path(self, pose: Pose2, time: float, undriven: float | None) -> Path | None:
-        """Return the path from the robot's pose, seconds after the start; None if there is none now.
+        """Return the path from the robot's pose; None if there is none now.
 
-        `undriven` is the rest of the former path, meters; None = this is the first one.
+        The time is that since the start; `undriven`, meters, the rest of the former path, None without one.
         """
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
@@ -200,7 +200,7 @@ class PathDriver:
         return twist
 
     def _turn(self, pose: Pose2, time: float) -> Twist:
-        """Turn in place to the yaw at the path's end, until it is reached or the robot cannot turn."""
+        """Turn in place to the yaw at the path's end as far as possible."""
         error = math.remainder((self._path.yaw or 0.0) - pose.yaw, math.tau)
         if abs(error) <= self.config.facing or time - self._moved_at > self.config.patience:
             self._replan(pose, time)

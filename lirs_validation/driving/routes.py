@@ -223,7 +223,7 @@ class TourRoute:
         return int(row[best]), int(col[best])
 
     def _cover(self, path: IntArray) -> None:
-        """Mark the cells covered from a path: within the radius on free ground, not through walls."""
+        """Mark the cells covered from a path: within the radius, not through walls."""
         near = search(self._plain, path, self._grid.resolution, limit=self.radius)
         self._covered_at[np.isfinite(near.cost)] = self._length
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Recording:
-    """The bag of a drive; with `slam` it holds the mapper's results: the frame `map` on /tf, and /map."""
+    """The bag of a drive, with the mapper's results (`map` on /tf, /map) if `slam`."""
 
     def __init__(self, writer: BagWriter, folder: Path, *, slam: bool = True) -> None:
         self._writer, self._folder, self._slam = writer, folder, slam

@@ -276,9 +276,9 @@ def map_scores(
     truth: OccupancyGrid | None = None,
     alignment: StartAlignment | None = None,
 ) -> MapScores:
-    """Score a mapper's map by that of the true poses, the world, and the input laser map `truth`.
+    """Score a map in the world frame, before and after the alignment.
 
-    All maps are in the world frame; the alignment is that of the built map's trajectory.
+    It is compared with the map of the true poses, the world's obstacles, and the input laser map `truth`.
     """
     built, true_pose = as_stored(built), as_stored(true_pose)
     seen = OccupancyGrid(sample_like(built, true_pose), true_pose.resolution, true_pose.origin)
@@ -451,7 +451,7 @@ def count_hits(world: World, hits: Sequence[FloatArray]) -> tuple[FloatArray, Fl
 
 
 def observed_support(world: World, scans: Sequence[LaserScan], poses: Sequence[Pose3]) -> dict[str, float]:
-    """Count returns and hits on walls of recorded scans at poses `T_world_base`, as in a record."""
+    """Count returns and hits on walls of recorded scans at poses `T_world_base`."""
     points = [
         (pose @ scan.T_base_laser).apply(scan.points)[:, :2] for scan, pose in zip(scans, poses, strict=True)
     ]

@@ -353,7 +353,7 @@ def _place_scans(
 
 
 def _select_spaced(poses: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return indices of poses (n, 3) at least a step or a turn apart, and the meters driven up to each."""
+    """Return indices of poses (n, 3) a step or turn apart, and meters driven."""
     chosen, driven, total = list[int](), list[float](), 0.0
     for k, (x, y, yaw) in enumerate(poses.tolist()):
         if chosen:

@@ -257,9 +257,9 @@ def start_alignment(truth: Trajectory, estimate: Trajectory) -> StartAlignment |
 def associated(
     first: FloatArray, second: FloatArray, *, max_gap: float = MAX_GAP
 ) -> tuple[IntArray, IntArray]:
-    """Pair each stamp of the shorter increasing list (n,) with the nearest of the longer (m,), seconds.
+    """Pair each stamp of the shorter list with the nearest of the longer.
 
-    Returns the indices of both; the stamps of a pair differ by at most `max_gap`.
+    Returns the indices of both. The lists increase; stamps of a pair differ by at most `max_gap` seconds.
     """
     if len(first) > len(second):
         j, i = associated(second, first, max_gap=max_gap)

@@ -60,7 +60,7 @@ class Failure:
 
 
 class WorkerPool:
-    """Processes for the jobs of one caller, `seconds` for each if limited; a `with` block ends them."""
+    """Processes for jobs of at most `seconds` each; a `with` block ends them."""
 
     def __init__(self, size: int, seconds: float | None = None) -> None:
         self._size, self._seconds = size, seconds

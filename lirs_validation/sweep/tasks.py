@@ -162,7 +162,7 @@ STATUS = "cell.json"
 
 @dataclass(frozen=True, kw_only=True)
 class CollisionTask(SweepTask):
-    """The collision validation of a robot in a world, with a random drive of so many seconds."""
+    """The collision validation of a robot: a seeded random drive of some seconds."""
 
     source: str
     robot: str
