@@ -131,6 +131,8 @@ class SweepTask(ABC):
         """Run the task. All exceptions but Ctrl-C, also `SystemExit`, become outcomes."""
         try:
             return self.run(out, scenarios, progress, concurrent=concurrent)
+        except KeyboardInterrupt:  # and its subclasses, as they are
+            raise
         except BaseException as error:
             return outcome_of(error, self.name)
 
