@@ -178,13 +178,6 @@ class Trial:
         """Number of drives that decide if all of them work."""
         return self.test.successes_more if self.decision == "undecided" else 0
 
-    @property
-    def state(self) -> str:
-        """Last verdict, and the result so far."""
-        drive, test = self.drives[-1], self.test
-        decided = "" if self.decision == "undecided" else f": {self.decision}"
-        return f"{drive.folder}: {drive.kind}; {test.successes} of {test.total} worked{decided}"
-
     def next_configs(self) -> list[RunConfig]:
         """Return configs of the drives that any decision needs next; empty once it is decided."""
         if self.decision != "undecided":
@@ -301,7 +294,8 @@ class TimedDrives:
             if drive is None:
                 break
             trial = replace(trial, drives=(*trial.drives, drive))
-            note(trial.state)
+            test, decided = trial.test, "" if trial.decision == "undecided" else f": {trial.decision}"
+            note(f"{drive.folder}: {drive.kind}; {test.successes} of {test.total} worked{decided}")
         return trial
 
     def _find(self, config: RunConfig) -> TrialDrive | None:

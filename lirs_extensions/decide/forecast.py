@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
 from dataclasses import astuple, dataclass, fields, replace
 from functools import cache, cached_property
 from importlib.resources import files
 from operator import attrgetter
 from typing import Any
 
+import cv2
 import numpy as np
 
 from lirs_envs.lidar.presets import LIDARS, RING_LIDARS, LidarPreset, make_lidar_preset
@@ -18,9 +20,10 @@ from lirs_envs.robots.robot import Robot, make_robot
 from lirs_validation.analysis.compare import ORIGINAL
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import plan_tour
-from lirs_validation.metrics.map import count_hits
+from lirs_validation.experiment.scenario import DRIVEN_SIDE, is_large
+from lirs_validation.metrics.map import STEEP, count_hits
 from lirs_validation.metrics.world_geometry import ENOUGH_WALLS, cast_beams, standing_on
-from lirs_wct import FloatArray, Pose2, World
+from lirs_wct import FloatArray, Pose2, WctError, World, build_world
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
 
 TOURS = 3
@@ -44,6 +47,8 @@ SHORT_DRIVE, LONGER = 60.0, 3.0
 """Simulated seconds below which a longer drive is tried, and its factor."""
 MAX_CLOUD_METHODS = 2
 """Largest number of methods that read clouds and are tried."""
+MAX_STEEP, MAX_WINDOWS = 0.3, 3
+"""Largest share of steep faces in a window that a robot drives, and windows that are looked at."""
 MODELS = "forecast.json"
 """File of the models in this package; `python benchmarks/verdict_study.py fit` writes it."""
 STUDIED = ("attitude", "driver", "odometry_noise", "actors", "scan_time")
@@ -280,7 +285,7 @@ def changes(site: DriveSite, *, short: bool) -> dict[str, RunConfig]:
     clouds = {name: other for name, other in _clouds(config).items() if _sees_more(site, other)}
     if config.mapper not in MAPPERS or features.walls >= ENOUGH_WALLS:
         return {**_attitude(config), **drive, **lidar, **clouds}
-    return {**clouds, **lidar, **(_attitude(config) if features.wall_scans else {})}
+    return {**clouds, **lidar, **_walled_window(site), **(_attitude(config) if features.wall_scans else {})}
 
 
 def _sees_more(site: DriveSite, config: RunConfig) -> bool:
@@ -307,6 +312,28 @@ def _longer_lidar(config: RunConfig) -> dict[str, RunConfig]:
         return {}
     chosen = min(longer, key=attrgetter("range_max"))
     return {f"lidar {chosen.name} ({chosen.range_max:g} m)": replace(config, lidar=chosen.name)}
+
+
+def _walled_window(site: DriveSite) -> dict[str, RunConfig]:
+    """Return the run in a window of a large source whose steep faces the scans meet."""
+    config = site.config
+    whole = build_world(config.source, replace(config.build, window=None))
+    if not is_large(whole):
+        return {}
+    surface = whole.surface
+    size = [max(2, round(DRIVEN_SIDE / cell)) for cell in surface.cell]
+    steep = cv2.blur((surface.slope() > STEEP).astype(np.float32), size)
+    shares = steep[size[1] // 2 :: size[1], size[0] // 2 :: size[0]]
+    order = [k for k in np.argsort(-shares, axis=None) if 0.0 < shares.flat[k] <= MAX_STEEP]
+    for row, col in np.column_stack(np.unravel_index(order[:MAX_WINDOWS], shares.shape)).tolist():
+        x = surface.bounds[0] + (col + 0.5) * size[0] * surface.cell[0]
+        y = surface.bounds[3] - (row + 0.5) * size[1] * surface.cell[1]
+        build = replace(config.build, window=(round(x, 1), round(y, 1), DRIVEN_SIDE))
+        with suppress(WctError):  # no place or way for the robot
+            other = replace(config, build=build)
+            if DriveSite(build_world(config.source, build), other).features().walls > site.features().walls:
+                return {f"the window {x:g},{y:g},{DRIVEN_SIDE:g}": other}
+    return {}
 
 
 def _clouds(config: RunConfig) -> dict[str, RunConfig]:

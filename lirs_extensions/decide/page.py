@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -87,8 +88,10 @@ def _next_text(answer: Answer) -> str:
     best = max(answer.changes, key=lambda change: (change.rank, change.test.successes), default=None)
     if best is not None and best.rank > best.least:
         kind, count = Counter(drive.kind for drive in best.drives).most_common(1)[0]
+        seed = next(drive.seed for drive in best.drives if drive.kind == kind)
         result = "worked" if kind == "works" else f"gave `{kind}`"
-        return f"Next: `{command_of(best.config)}` {result} in {count} of {len(best.drives)} drives."
+        command = command_of(replace(best.config, seed=seed))
+        return f"Next: `{command}` {result} in {count} of {len(best.drives)} drives."
     if answer.continuation:
         return f"{answer.continuation}."
     if best is not None:
