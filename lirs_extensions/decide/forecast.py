@@ -324,14 +324,15 @@ def _walled_window(site: DriveSite) -> dict[str, RunConfig]:
     size = [max(2, round(DRIVEN_SIDE / cell)) for cell in surface.cell]
     steep = cv2.blur((surface.slope() > STEEP).astype(np.float32), size)
     shares = steep[size[1] // 2 :: size[1], size[0] // 2 :: size[0]]
-    order = [k for k in np.argsort(-shares, axis=None) if 0.0 < shares.flat[k] <= MAX_STEEP]
-    for row, col in np.column_stack(np.unravel_index(order[:MAX_WINDOWS], shares.shape)).tolist():
+    places = np.argwhere((shares > 0.0) & (shares <= MAX_STEEP)).tolist()
+    for row, col in sorted(places, key=lambda place: -float(shares[*place]))[:MAX_WINDOWS]:
         x = surface.bounds[0] + (col + 0.5) * size[0] * surface.cell[0]
         y = surface.bounds[3] - (row + 0.5) * size[1] * surface.cell[1]
         build = replace(config.build, window=(round(x, 1), round(y, 1), DRIVEN_SIDE))
         with suppress(WctError):  # no place or way for the robot
             other = replace(config, build=build)
-            if DriveSite(build_world(config.source, build), other).features().walls > site.features().walls:
+            features = DriveSite(build_world(config.source, build), other).features()
+            if features.wall_scans > site.features().wall_scans:
                 return {f"the window {x:g},{y:g},{DRIVEN_SIDE:g}": other}
     return {}
 

@@ -2,7 +2,9 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,13 +13,14 @@ from lirs_extensions.decide.forecast import (
     MIN_INFORMATION,
     DriveSite,
     LogisticModel,
+    changes,
     cloud_information,
     forecast,
     scan_information,
 )
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import build_scenario
-from lirs_wct import World
+from lirs_wct import BuildOptions, World
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry import HeightField
 from lirs_wct.ground import Terrain
@@ -89,3 +92,21 @@ def test_a_forecast_tells_walls_from_bare_hills_and_is_only_given_for_what_was_s
     assert seen.wall_scans == 1.0
     for other in ({"attitude": "none"}, {"mapper": "cartographer"}, {"odometry_noise": 2.0}):
         assert forecast(seen, replace(CONFIG, **other)) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("walled", [True, False])
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_window_with_walls_is_found_in_a_large_source(walled: bool, tmp_path: Path) -> None:
+    heights = np.zeros((481, 481), np.uint8)
+    heights[0, 0] = 255
+    if walled:  # two walls, 2 m high, in the northeast
+        heights[90:110, 340:344] = heights[90:94, 340:370] = 255
+    picture = tmp_path / "plain.png"
+    assert cv2.imwrite(str(picture), heights)
+    config = RunConfig(source=str(picture), mapper="hector", build=BuildOptions(size=(240, 240), height=2))
+    found = changes(DriveSite(build_scenario(config).world, config), short=False)
+    windows = [window for other in found.values() if (window := other.build.window) is not None]
+    assert len(windows) == walled
+    for x, y, side in windows:
+        assert max(abs(x - 55), abs(y - 74.5)) < side / 2, "the walls are in it"
