@@ -130,7 +130,7 @@ def local_distances(run: Path) -> tuple[float, float, float]:
     """Return distances of local SLAM's poses from the original's, meters: after 1 s, median, largest."""
     log, scans = recorded(run)
     builder = TrajectoryBuilder(CartographerOriginalConfig())
-    poses = [builder.add_scan(*pair).pose for pair in zip(scans, log.odometry, strict=True)]
+    poses = [builder.add_scan(*pair)[0] for pair in zip(scans, log.odometry, strict=True)]
     original = unpacked(run / "original_cartographer_local.tum.gz").positions[:, :2]
     apart = np.hypot(*(np.array([(p.x, p.y) for p in poses]) - original).T)
     first = apart[log.stamps <= log.stamps[0] + 1]

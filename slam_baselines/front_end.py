@@ -264,9 +264,9 @@ class MapBuilder:
 class KnownPoseMapper:
     """Map of scans at known poses, in the frame of the poses."""
 
-    def __init__(self, resolution: float = 0.05, config: BuilderConfig | None = None) -> None:
-        """Use `config`, or the default one at `resolution`."""
-        self._builder = MapBuilder(config or BuilderConfig(map_resolution=resolution, map_multi_res_levels=1))
+    def __init__(self, resolution: float = 0.05) -> None:
+        """Start an empty map with cells of an edge `resolution`, meters."""
+        self._builder = MapBuilder(BuilderConfig(map_resolution=resolution, map_multi_res_levels=1))
         self._leveler = ScanLeveler()
         self._last: Pose2 | None = None
 

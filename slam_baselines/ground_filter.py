@@ -69,14 +69,9 @@ class UpperBound(NamedTuple):
     neighbors: Neighbors
 
 
-class DrawnSlopes(NamedTuple):
-    """Minimum slopes (rows, cols) of a map's cells, SLOPE_STEP, with a frame of UpperBound."""
-
-    layer: ByteArray
-    frame: FloatArray
-
-
-NOT_DRAWN = DrawnSlopes(np.zeros((0, 0), np.uint8), np.array((0.0, 0.0, 1.0)))
+DrawnSlopes = tuple[ByteArray, FloatArray]
+"""Minimum slopes (rows, cols) of a map's cells, SLOPE_STEP, with a frame of UpperBound."""
+NOT_DRAWN: DrawnSlopes = np.zeros((0, 0), np.uint8), np.array((0.0, 0.0, 1.0))
 """Of a map without cells."""
 
 
@@ -241,7 +236,7 @@ class GroundFilter:
         if self.match_wall_slope == 0:
             return slopes
         height = self.height if height is None else height
-        cells = NOT_DRAWN if drawn is None else DrawnSlopes(drawn.layers.min_slope, drawn.frame)
+        cells = NOT_DRAWN if drawn is None else (drawn.layers.min_slope, drawn.frame)
         T = pose.x, pose.y, pose.yaw, height
         return self._raise_slopes(slopes, scan.origin, scan.hits, T, pose, limits, cells)
 

@@ -91,11 +91,6 @@ class HectorMapper(PlanarMapper):
         self._motion: list[OdometryStep | None] = []
         self._earlier: Pose2 | None = None
 
-    @property
-    def resolution(self) -> float:
-        """Edge of a cell of the map, meters."""
-        return self.config.map_resolution
-
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Level a scan, predict, register and monitor it; insert it if due."""
         front, builder, before, match = self.front, self._builder, self.front.estimate.pose, None

@@ -63,9 +63,9 @@ class ScanLeveler:
         self._max_range = max_range
         self._geometry: tuple[float, ...] = ()
         self._directions: FloatArray = np.empty((0, 2))
-        self._limits = RangeLimits(0.0, 0.0, 0.0)
+        self._limits = 0.0, 0.0, 0.0
         self._T_base_laser = Pose3()
-        self._mount = Mount(self._T_base_laser.rotation, self._T_base_laser.position)
+        self._mount = self._T_base_laser.rotation, self._T_base_laser.position
 
     def level(self, scan: LaserScan, imu: Imu | None) -> LeveledScan:
         """Return the scan in the leveled base frame; without IMU the base counts as level."""
@@ -90,25 +90,10 @@ class ScanLeveler:
             self._directions = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=-1)
             nearest, farthest = scan.limits
             farthest = min(farthest, self._max_range)
-            self._limits = RangeLimits(nearest, farthest, min(farthest, self._clear_range))
+            self._limits = nearest, farthest, min(farthest, self._clear_range)
         T = scan.T_base_laser
         if T is not self._T_base_laser and self._T_base_laser != T:
-            self._T_base_laser, self._mount = T, Mount(T.rotation, T.position)
-
-
-class RangeLimits(NamedTuple):
-    """Ranges in meters: nearest hit, farthest hit, free part of a beam without return."""
-
-    nearest: float
-    farthest: float
-    clear: float
-
-
-class Mount(NamedTuple):
-    """Rotation (3, 3) and position (3,) of the laser in the base frame."""
-
-    rotation: FloatArray
-    position: FloatArray
+            self._T_base_laser, self._mount = T, (T.rotation, T.position)
 
 
 @njit
@@ -127,7 +112,10 @@ def _transform(points: Any, pose: Any, out: Any) -> None:
 def _level(
     ranges: Any, directions: Any, mount: Any, limits: Any, attitude: Any, ends: Any, origin: Any
 ) -> tuple[int, int]:
-    """Fill `ends` with hits from the top, free ends from the bottom; return both counts."""
+    """Fill `ends` with hits from the top, free ends from the bottom; return both counts.
+
+    Limits, meters: nearest hit, farthest hit, free part of a beam without return.
+    """
     nearest, farthest, clear = limits
     rotation, shift = mount
     roll, pitch = attitude

@@ -87,7 +87,7 @@ class Bridge:
         stamp = observation.scan.stamp
         if not self.options.lockstep:
             self._keep_pace(stamp)
-        self._receive(0.0)
+        self.receive()
         T_world_base = self.simulation.pose()
         if self._T_map_world is None:
             self._T_map_world = Pose3.from_pose2(self.T_map_start @ T_world_base.to_pose2().inverse())
@@ -101,10 +101,6 @@ class Bridge:
             if self.options.lockstep:
                 self._await(nanoseconds(stamp))
         self.published += 1
-
-    def finish(self) -> None:
-        """Take in the last messages."""
-        self._receive(0.0)
 
     def publish_map(self, stamp: float, grid: OccupancyGrid) -> None:
         """Publish our mapper's map, in the map frame."""
@@ -140,9 +136,9 @@ class Bridge:
                     stacklevel=2,
                 )
                 return
-            self._receive(min(left, LOOK))
+            self.receive(min(left, LOOK))
 
-    def _receive(self, seconds: float) -> None:
+    def receive(self, seconds: float = 0.0) -> None:
         """Take in messages, and count the scans that they answer."""
         received = self._middleware.receive(seconds)
         if not received:
@@ -166,7 +162,7 @@ class Bridge:
         due = self._begun + stamp / self.options.rate
         while (left := due - time.perf_counter()) > 0.0:
             # Sleeping for the whole time would add the clients' late answers to the next scan's.
-            self._receive(left)
+            self.receive(left)
         self.jitter.append(time.perf_counter() - due)
 
 
@@ -199,7 +195,7 @@ class ClientMapper:
 
     def trajectory(self) -> Trajectory:
         """Return the client's poses at the scans, with its last messages."""
-        self._bridge.finish()
+        self._bridge.receive()
         return self._bridge.client.trajectory().moved(self._T_start_map)
 
     @property
@@ -308,9 +304,7 @@ class Client:
     def take(self, received: Sequence[Received], time: float) -> int:
         """Take in messages; return the latest stamp that answers a scan, nanoseconds; 0 = none.
 
-        Args:
-            received: in order of arrival.
-            time: present simulated time, seconds.
+        The messages are in order of arrival; `time` is the present simulated time, seconds.
         """
         answered = 0
         for topic, cdr in received:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from lirs_extensions.live.options import LiveOptions
 from lirs_validation.cli.command import OneSource, common, map_logs
@@ -13,9 +13,6 @@ from lirs_validation.cli.progress import err, out, progress_bar, say
 from lirs_validation.config import CLIENT, RUN_AXES, RunConfig, World
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import option
-
-if TYPE_CHECKING:
-    from lirs_extensions.live.run import LiveRun
 
 SECONDS = 600.0
 """Simulated seconds of a live drive."""
@@ -52,8 +49,18 @@ def live(
     config = RunConfig(source=source, build=build, **given)
     announce = partial(err.print, highlight=False, markup=False, soft_wrap=True)
     with progress_bar(source) as progress:
-        for result in drive_live(config, live, out=options.output, progress=progress, announce=announce):
-            _show(result)
+        for drive in drive_live(config, live, out=options.output, progress=progress, announce=announce):
+            bridge, result = drive.bridge, drive.run
+            out.print(
+                f"{bridge.published} scans published; of {bridge.expected} that need an answer, "
+                f"{bridge.answered} were answered in time, {bridge.late} late, {bridge.missed} not at all",
+                highlight=False,
+            )
+            if bridge.jitter:
+                late = 1e3 * sorted(bridge.jitter)[int(0.99 * len(bridge.jitter))]
+                say(f"99 % of the scans came at most {late:.1f} ms late")
+            say(result.folder)
+            say(f"verdict: {result.verdict}")
 
 
 def _single(name: str, value: Any) -> Any:
@@ -63,17 +70,3 @@ def _single(name: str, value: Any) -> Any:
     if len(value) > 1:
         raise ConfigError(f"live is one drive: --{name.replace('_', '-')} takes one value, got {len(value)}")
     return value[0]
-
-
-def _show(result: LiveRun) -> None:
-    bridge, run = result.bridge, result.run
-    out.print(
-        f"{bridge.published} scans published; of {bridge.expected} that need an answer, {bridge.answered} "
-        f"were answered in time, {bridge.late} late, {bridge.missed} not at all",
-        highlight=False,
-    )
-    if bridge.jitter:
-        late = 1e3 * sorted(bridge.jitter)[int(0.99 * len(bridge.jitter))]
-        say(f"99 % of the scans came at most {late:.1f} ms late")
-    say(run.folder)
-    say(f"verdict: {run.verdict}")

@@ -152,10 +152,7 @@ def zenoh_token(
 def zenoh_attachment(sequence: int, nanoseconds: int, gid: bytes) -> bytes:
     """Return the attachment of a message in rmw_zenoh: 33 bytes.
 
-    Args:
-        sequence: number of the message of its publisher, from 1.
-        nanoseconds: wall time since 1970.
-        gid: Identifier of the publisher, 16 bytes.
+    The publisher of 16 bytes `gid` counts its messages from 1. The wall time is that since 1970.
     """
     return struct.pack("<qqB16s", sequence, nanoseconds, len(gid), gid)
 
@@ -170,12 +167,7 @@ CYCLONE_LOOPBACK = (
 
 
 class Received(NamedTuple):
-    """A message of a client.
-
-    Attributes:
-        topic: One of SUBSCRIBED.
-        cdr: bytes of the message.
-    """
+    """A message of a client on a topic of SUBSCRIBED, in CDR."""
 
     topic: LiveTopic
     cdr: bytes

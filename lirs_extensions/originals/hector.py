@@ -85,11 +85,6 @@ class HectorOriginalMapper(PlanarMapper):
         self._poses: dict[float, Pose2] = {}
         self._updates = 0
 
-    @property
-    def resolution(self) -> float:
-        """Edge of a cell of the map, meters."""
-        return self.config.map_resolution
-
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan from the pose by odometry, draw it if due; return `T_map_base`."""
         c, (laser, ends) = self.config, self._points(scan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -23,16 +23,6 @@ BATCH = 12
 """Cases of a batch of the random search."""
 MIN_PARAMETERS = 2
 """Fewest free parameters of CMA-ES; one alone is drawn at random."""
-
-
-class CaseSource(Protocol):
-    """Source of cases to try."""
-
-    def propose(self) -> list[Case]:
-        """Return the next cases."""
-
-    def learn(self, losses: Sequence[float]) -> None:
-        """Take in the losses of the proposed cases, or of the first of them."""
 
 
 class RandomProposer:
@@ -90,7 +80,7 @@ class CmaProposer:
         self._best, self._since = min(self._best, *losses), 0 if better else self._since + 1
 
 
-def make_proposer(kind: str, limits: SearchSpace, rng: np.random.Generator) -> CaseSource:
+def make_proposer(kind: str, limits: SearchSpace, rng: np.random.Generator) -> RandomProposer | CmaProposer:
     """Return the source of cases of a search."""
     limits.require_free()
     if kind == "random" or len(limits.free) < MIN_PARAMETERS:

@@ -108,14 +108,6 @@ class _Tree(NamedTuple):
     step: float
 
 
-class _Limits(NamedTuple):
-    """Minimum score, most nodes, (3,) row, column and radius of the exclusion in cells."""
-
-    min_score: float
-    max_nodes: int
-    excluded: FloatArray
-
-
 def angular_step(points: FloatArray, resolution: float) -> float:
     """Return the turn that moves the farthest point by a cell (eq. 7), radians."""
     farthest = max(float(np.hypot(points[:, 0], points[:, 1]).max()), 2 * resolution)
@@ -143,7 +135,7 @@ def branch_and_bound(
     # Of equal scores the smaller index wins: the sort must be stable for the same answer everywhere.
     order = np.argsort(-roots[:, 0], kind="stable")
     out = np.empty(6)
-    _search(grids, tree, _Limits(min_score, max_nodes, disc), roots, order, rows, cols, out)
+    _search(grids, tree, min_score, max_nodes, disc, roots, order, rows, cols, out)
     return SearchResult(out[:3].copy(), float(out[3]), int(out[4]), bool(out[5]))
 
 
@@ -221,21 +213,25 @@ def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: 
 
 @njit
 def _search(
-    lattice: BoundGrids, tree: _Tree, limits: _Limits, roots: Any, order: Any, rows: Any, cols: Any, out: Any
-) -> None:
-    """Depth-first search, the most promising branch first; fill `out` (6,)."""
-    levels, start, excluded, res = lattice.levels, tree.start, limits.excluded, lattice.resolution
+    lattice: BoundGrids, tree: _Tree, min_score: float, max_nodes: int, excluded: Any, roots: Any, order: Any,
+    rows: Any, cols: Any, out: Any,
+) -> None:  # fmt: skip
+    """Depth-first search, the most promising branch first; fill `out` (6,).
+
+    The exclusion (3,) is row, column and radius in cells.
+    """
+    levels, start, res = lattice.levels, tree.start, lattice.resolution
     n, depth = rows.shape[1], len(levels) - 1
-    best = int(np.ceil(limits.min_score * n * FULL)) - 1
+    best = int(np.ceil(min_score * n * FULL)) - 1
     out[0], out[1], out[2], out[3] = start[0], start[1], start[2], -1.0
     evaluated = len(roots)
     stack, children = np.empty((4 * depth + 4, 5), np.int32), np.empty((4, 5), np.int32)
     for o in order:
-        if roots[o, 0] <= best or evaluated > limits.max_nodes:
+        if roots[o, 0] <= best or evaluated > max_nodes:
             break
         _copy(roots[o], stack[0])
         top = 1
-        while top > 0 and evaluated <= limits.max_nodes:
+        while top > 0 and evaluated <= max_nodes:
             top -= 1
             node = stack[top]
             score, h, t, dr, dc = node[0], node[1], node[2], node[3], node[4]
@@ -255,4 +251,4 @@ def _search(
                 if children[q, 0] > best:
                     _copy(children[q], stack[top])
                     top += 1
-    out[4], out[5] = evaluated, evaluated <= limits.max_nodes
+    out[4], out[5] = evaluated, evaluated <= max_nodes

@@ -95,11 +95,7 @@ class Trimmer:
         return self._finished - self._trimmed_at >= self._config.min_added_submaps_count
 
     def pop_redundant(self, poses: Sequence[Pose2]) -> list[int]:
-        """Return the redundant finished submaps, and drop their areas.
-
-        Args:
-            poses: `T_map_submap` of all submaps.
-        """
+        """Return the redundant finished submaps by all `T_map_submap`, and drop their areas."""
         c, self._trimmed_at = self._config, self._finished
         corners = [poses[i].apply(covered.corners(self._square)) for i, covered in self._covered.items()]
         low, high = (np.floor(f(np.concatenate(corners), axis=0) / c.trimming_cell) for f in (np.min, np.max))
@@ -131,7 +127,6 @@ class GlobalSlam:
         events: Closed loops, for users.
         trimmed: Number of submaps trimmed.
         optimizations: Number of optimizations applied.
-        version: Number that changes whenever poses that were there before have changed.
     """
 
     def __init__(self, config: CartographerConfig, local: LocalSlam) -> None:
@@ -144,7 +139,7 @@ class GlobalSlam:
         self.candidates = CandidateQueue(config)
         self.loops: list[LoopConstraint] = []
         self.events: list[LoopEvent] = []
-        self.optimizations = self.version = self.trimmed = 0
+        self.optimizations = self.trimmed = 0
         self.trimmer = Trimmer(config)
         self._local = local
         self._verification = LoopVerification(config)
@@ -351,7 +346,6 @@ class GlobalSlam:
     def _apply_solution(self, solution: Solution) -> None:
         """Take the poses of a solution; later nodes and submaps follow its last node."""
         self.optimizations += 1
-        self.version += 1
         loops = self._optimized_at[1]
         self._optimized_at = len(solution.nodes), self._loops_at_start
         for loop in self.loops[loops : self._loops_at_start]:

@@ -113,11 +113,6 @@ class CartographerLocalizer(PlanarMapper):
         self._matched = self._searches = self._ambiguous = 0
 
     @property
-    def resolution(self) -> float:
-        """Edge of a cell of the known map, meters."""
-        return self._known.grid.resolution
-
-    @property
     def known_map(self) -> OccupancyGrid:
         """The known map as it was given."""
         return self._known.grid

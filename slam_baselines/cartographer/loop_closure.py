@@ -105,11 +105,10 @@ class SubmapMatch(NamedTuple):
 
 @dataclass
 class SearchCounts:
-    """Outcomes of the searches; poor ones fit nowhere well, ambiguous ones equally well twice."""
+    """Outcomes of the searches; ambiguous ones fit equally well twice."""
 
     searched: int = 0
     found: int = 0
-    poor: int = 0
     given_up: int = 0
     ambiguous: int = 0
 
@@ -139,7 +138,6 @@ class ConstraintBuilder:
         self.counts.searched += 1
         sparse = voxel_filter(points, self.config.voxel_size, self.config.loop_max_points)
         if len(sparse) < self.config.loop_min_points:
-            self.counts.poor += 1
             return None
         match = self._match_scan(submap, points, sparse, start.as_array(), distance_traveled)
         if match is None:
@@ -171,7 +169,6 @@ class ConstraintBuilder:
         prior = PoseEstimate(Pose2(*start.tolist()), np.diag((linear**2, linear**2, angular**2)))
         match = self._matcher.match(submap, points, None, prior, levels=len(LOOP_ITERATIONS))
         if match.score < c.min_refined_score or match.known < c.min_known_ratio:
-            self.counts.poor += 1
             return None
         return match
 
@@ -184,7 +181,6 @@ class ConstraintBuilder:
         best = branch_and_bound(submap.bounds, points, start, window, min_score, c.loop_search_nodes)
         self.counts.given_up += not best.complete
         if best.score < 0:
-            self.counts.poor += 1
             return None
         second = branch_and_bound(
             submap.bounds, points, start, window, c.ambiguity_ratio * best.score, c.loop_search_nodes,

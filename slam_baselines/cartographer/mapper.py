@@ -50,11 +50,6 @@ class CartographerMapper(PlanarMapper):
         self._graph = GlobalSlam(c, self.local)
         self._map = NodeMap(c)
 
-    @property
-    def resolution(self) -> float:
-        """Edge of a cell of the map, meters."""
-        return self.config.map_resolution
-
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan to its submap and work on the graph; return `T_map_base`."""
         nodes, restarted = self.local.add_scan(scan, odometry, imu)

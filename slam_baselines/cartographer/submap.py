@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 import zlib
 from collections import OrderedDict
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +33,8 @@ from slam_baselines.occupancy_map import (
     bounding_box,
 )
 
-
-class TracedScan(NamedTuple):
-    """Traces of a scan on all levels, and its (4,) bounding box, meters."""
-
-    traces: Sequence[Trace]
-    box: FloatArray
+TracedScan = tuple[list[Trace], FloatArray]
+"""Traces of a scan on all levels, and its (4,) bounding box, meters."""
 
 
 class Tracers:
@@ -51,7 +46,7 @@ class Tracers:
     def trace(self, scan: ScanPoints) -> TracedScan:
         """Return a scan's traces in the local frame on each level; void after the next."""
         box = bounding_box(scan)
-        return TracedScan([level.trace(scan, box) for level in self._levels], box)
+        return [level.trace(scan, box) for level in self._levels], box
 
 
 class Submap:

@@ -20,7 +20,7 @@ from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.motion import GyroBias, GyroBiasConfig, MotionIncrement, propagate, remove_bias
 from slam_baselines.gmapping.particles import Particles, normalize
-from slam_baselines.gmapping.proposal import First, Proposal, Proposer
+from slam_baselines.gmapping.proposal import Proposal, Proposer
 from slam_baselines.gmapping.scan_matching import ScanBeams
 from slam_baselines.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints, interpolate_hits
@@ -54,8 +54,7 @@ class ParticleFilter(Particles[PatchMaps]):
     ) -> Proposal:
         """Draw new poses by odometry and scan, for `adopt`."""
         odometry = propagate(self._poses, increment.pose, increment.reckoned.covariance)
-        first = First(self.best, wide)
-        return self.proposer.propose(self.maps, beams, wall_slope, odometry, first, self._rng)
+        return self.proposer.propose(self.maps, beams, wall_slope, odometry, self.best, self._rng, wide=wide)
 
     def adopt(self, proposal: Proposal) -> None:
         """Take over proposed poses, and weigh them."""
@@ -196,11 +195,6 @@ class GmappingMapper(PlanarMapper):
         self._registration = BiasedRegistration(self._filter.proposer, self.ground_filter, c)
         self._bias = GyroBias.unknown(c)
         self._spacing = 0.0
-
-    @property
-    def resolution(self) -> float:
-        """Edge of a cell of the map, meters."""
-        return self.config.delta
 
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Follow the odometry; after enough motion, make the scan a generation of the filter."""

@@ -56,13 +56,6 @@ class Proposal(NamedTuple):
     known_ratio: FloatArray
 
 
-class First(NamedTuple):
-    """Particle that is matched first, and whether it always searches the wider window."""
-
-    particle: int
-    wide: bool
-
-
 class Proposer:
     """Scan matching in every particle's map, and draws of new poses; counts the wider searches."""
 
@@ -78,19 +71,22 @@ class Proposer:
         beams: ScanBeams,
         wall_slope: int,
         odometry: PoseDistributions,
-        first: First,
+        first: int,
         rng: np.random.Generator,
+        *,
+        wide: bool = False,
     ) -> Proposal:
         """Return new poses for all particles from their distributions by odometry.
 
-        The odometry's error is common to all particles: one is matched first, and the others try its
-        correction as a second start. Hits of at least the minimum slope `wall_slope`, SLOPE_STEP, are walls.
+        The odometry's error is common to all particles: the `first` is matched first, with `wide` always by
+        the wider search, and the others try its correction as a second start. Hits of at least the minimum
+        slope `wall_slope`, SLOPE_STEP, are walls.
         """
         n = len(odometry.poses)
         proposal = Proposal(*(np.empty((n, *shape)) for shape in ((3,), (3,), (3, 3), (), (), ())))
-        samples = Samples(self._cube, rng.standard_normal((n, 3)))
+        normals = rng.standard_normal((n, 3))
         self.searches += propose(
-            maps.stack, wall_slope, beams, odometry, first, samples, self._tuning, proposal
+            maps.stack, wall_slope, beams, odometry, first, wide, self._cube, normals, self._tuning, proposal
         )
         return proposal
 
@@ -122,25 +118,22 @@ def _points(n: int) -> FloatArray:
     return (np.outer(np.arange(n), steps) + 0.5) % 1.0 * 2 - 1
 
 
-class Samples(NamedTuple):
-    """Points (samples, 3) around a peak, in standard deviations, and normal draws (particles, 3)."""
-
-    cube: FloatArray
-    normals: FloatArray
-
-
 @njit
 def propose(
-    maps: Any, wall_slope: int, beams: Any, odometry: Any, first: Any, samples: Any, tuning: Any, out: Any
-) -> int:
-    """Fill a proposal; return the number of searches."""
+    maps: Any, wall_slope: int, beams: Any, odometry: Any, first: int, wide: bool, cube: Any, normals: Any,
+    tuning: Any, out: Any,
+) -> int:  # fmt: skip
+    """Fill a proposal; return the number of searches.
+
+    The cube (samples, 3) holds points around a peak, in standard deviations; normal draws are (particles, 3).
+    """
     res, (poses, means, sigmas, log_eta, hit_ratio, known_ratio) = maps.resolution, out
     n = len(poses)
     correction, near = np.zeros(3), near_beams(beams, tuning.kernelSize)
-    searches, before, searched = 0, first.particle, False
+    searches, before, searched = 0, first, False
     total = max(beams.weights.sum(), 1e-9)
     for step in range(n):
-        k = first.particle if step == 0 else step - 1 if step <= first.particle else step
+        k = first if step == 0 else step - 1 if step <= first else step
         if step > 1 and _same(maps, odometry, before, k):
             log_eta[k] = log_eta[before]
             keep(means[before], sigmas[before], means[k], sigmas[k])
@@ -153,7 +146,7 @@ def propose(
         invalidate(near)
         start = prior.pose if step == 0 else _better_start(view, near, prior.pose, correction, tuning)
         H = np.empty((3, 3))
-        wider = ALWAYS if first.wide and step == 0 else IF_POOR
+        wider = ALWAYS if wide and step == 0 else IF_POOR
         peak, value, hit, known, searched = find_peak(view, beams, near, prior, start, wider, tuning, H)
         searches += searched
         if step == 0:
@@ -163,10 +156,10 @@ def propose(
             log_eta[k] = score(view, near, prior.pose, tuning)[0]
         else:
             around = np.linalg.inv(H * (2 * tuning.sigma**2 / tuning.lsigma) + prior.information)
-            spread = FitPoints(peak, value, around, samples.cube)
+            spread = FitPoints(peak, value, around, cube)
             log_eta[k] = fit(view, near, prior, spread, tuning, means[k], sigmas[k])
         hit_ratio[k], known_ratio[k] = hit / max(known, 1e-9), known / total
-    _draw(means, sigmas, samples.normals, poses)
+    _draw(means, sigmas, normals, poses)
     return searches
 
 

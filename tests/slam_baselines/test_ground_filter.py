@@ -11,7 +11,6 @@ from lirs_wct.geometry.pose import Pose2
 from slam_baselines.ground_filter import (
     IN_FULL,
     NOT_DRAWN,
-    DrawnSlopes,
     GroundFilter,
     GroundFilterConfig,
     Margins,
@@ -239,7 +238,7 @@ def test_weights_are_those_of_the_slopes_told_in_full(seed: int, wall: int, full
     )
     table = ground_filter.graded_weights(np.arange(256, dtype=np.uint8), wall)
     slopes, limits = np.zeros(len(hits), np.uint8), limits_for_weights(wall, full_slope)
-    place, cells = (pose.x, pose.y, pose.yaw, 0.2), DrawnSlopes(drawn.layers.min_slope, drawn.frame)
+    place, cells = (pose.x, pose.y, pose.yaw, 0.2), (drawn.layers.min_slope, drawn.frame)
     raise_min_slopes(bound, ORIGIN, hits, place, GROUND, MARGINS, limits, cells, slopes)
     np.testing.assert_array_equal(table[slopes], expected)
 

@@ -31,7 +31,7 @@ SCAN = LaserScan(np.full(90, 2.0, np.float32), -0.8, 0.0175, 0.1, 10.0, 5.0)
 def test_the_resolution_is_one_word_for_all(name: str) -> None:
     mapper = make_mapper(name, resolution=0.1)
     mapper.update(SCAN, Pose2(), None)
-    assert mapper.map().resolution == mapper.resolution == 0.1  # type: ignore[attr-defined]
+    assert mapper.map().resolution == 0.1
 
 
 @pytest.mark.parametrize("name", MAPPERS)

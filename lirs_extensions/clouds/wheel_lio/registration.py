@@ -168,16 +168,9 @@ LEAST_POINTS = 50
 
 
 class MatchRule(NamedTuple):
-    """Errors of a sweep's points.
+    """Errors of a sweep's points; meanings as of WheelLioConfig.
 
-    Attributes:
-        noise: standard deviation of one point on a surface, meters.
-        edge: standard deviation of one point on an edge, meters.
-        gate: distances from a plane or line beyond which a point is left out, meters.
-        error: standard deviation of the error that all points share, meters. It does not average out,
-            however many points there are.
-        weak: root mean square of the share of a motion that the planes see, below which its direction is
-            weak.
+    The error that all points share does not average out, however many points there are.
     """
 
     noise: float

@@ -7,7 +7,6 @@ frame, a plane without IMU); only the voxels depend on it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -130,11 +129,6 @@ class GridSubmap:
         self.count = 0
         self.finished = False
 
-    def finish(self) -> None:
-        """Crop the grid."""
-        self.grid = self.grid.crop()
-        self.finished = True
-
 
 class TrajectoryNode(NamedTuple):
     """Scan that entered the submaps.
@@ -162,18 +156,6 @@ class TrajectoryNode(NamedTuple):
         return self.pose @ Pose2(yaw=self.heading)
 
 
-@dataclass(frozen=True, slots=True)
-class LocalResult:
-    """Pose `T_local_base` of a scan, predicted if it was not matched.
-
-    It has a node if the motion filter let it pass.
-    """
-
-    pose: Pose2
-    matched: bool
-    node: TrajectoryNode | None = None
-
-
 class TrajectoryBuilder:
     """Local SLAM, and all its submaps."""
 
@@ -185,8 +167,11 @@ class TrajectoryBuilder:
         self._tables = update_table(config.hit_probability), update_table(config.miss_probability)
         self._last: tuple[float, Pose2] | None = None
 
-    def add_scan(self, scan: LaserScan, odometry: Pose2 | None) -> LocalResult:
-        """Match a scan; insert it if the robot has moved."""
+    def add_scan(self, scan: LaserScan, odometry: Pose2 | None) -> tuple[Pose2, bool, TrajectoryNode | None]:
+        """Match a scan; insert it if the robot has moved.
+
+        Returns `T_local_base`, predicted without a match; whether it was matched; and its node if inserted.
+        """
         c, extrapolator, stamp = self._config, self._extrapolator, scan.stamp
         if extrapolator.last_stamp == -np.inf:
             extrapolator.add_pose(stamp, Pose2())
@@ -196,25 +181,21 @@ class TrajectoryBuilder:
         data = read_scan(scan, c).transform(Pose2(yaw=heading)).thin(c.voxel_filter_size)
         points = adaptive_voxel_filter(data.returns, c)
         if len(points) == 0:
-            return LocalResult(predicted, False)
+            return predicted, False, None
         expected = predicted @ Pose2(yaw=-heading)
-        pose = self._match(points, expected)
+        pose = expected
+        if self._active:
+            grid, start = self.submaps[self._active[0]].grid, expected
+            if c.use_online_correlative_scan_matching:
+                start = search_online(grid, points, expected, c)
+            pose = match_scan(grid, points, expected, start, c.ceres_matcher)
         T_local_base = pose @ Pose2(yaw=heading)
         extrapolator.add_pose(stamp, T_local_base)
         if not self._node_due(stamp, T_local_base):
-            return LocalResult(T_local_base, True)
+            return T_local_base, True, None
         entered, finished = self._insert(data.transform(pose))
         node = TrajectoryNode(stamp, pose, heading, odometry, points, entered, finished)
-        return LocalResult(T_local_base, True, node)
-
-    def _match(self, points: Float32Array, expected: Pose2) -> Pose2:
-        c = self._config
-        if not self._active:
-            return expected
-        grid, start = self.submaps[self._active[0]].grid, expected
-        if c.use_online_correlative_scan_matching:
-            start = search_online(grid, points, expected, c)
-        return match_scan(grid, points, expected, start, c.ceres_matcher)
+        return T_local_base, True, node
 
     def _node_due(self, stamp: float, pose: Pose2) -> bool:
         """Return whether time, distance or turn since the last node exceed their limits."""
@@ -242,5 +223,5 @@ class TrajectoryBuilder:
             self.submaps[i].count += 1
         oldest = self.submaps[self._active[0]]
         if oldest.count == 2 * size:
-            oldest.finish()
+            oldest.grid, oldest.finished = oldest.grid.crop(), True
         return tuple(self._active), oldest.finished

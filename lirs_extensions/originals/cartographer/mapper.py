@@ -48,22 +48,17 @@ class CartographerOriginalMapper(PlanarMapper):
         self._kept: list[LeveledScan] = []
         self._used = 0
 
-    @property
-    def resolution(self) -> float:
-        """Edge of a cell of the map, meters."""
-        return self.config.resolution
-
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan, add a node if due, search loops; return `T_map_base`."""
-        result = self._local.add_scan(scan, odometry)
-        self._used += result.matched
+        pose, matched, node = self._local.add_scan(scan, odometry)
+        self._used += matched
         nodes = self._graph.nodes
-        if result.node is not None:
-            self._graph.add_node(result.node)
+        if node is not None:
+            self._graph.add_node(node)
             self._kept.append(self._leveler.level(scan, None))
-        since = nodes[-1].T_local_base.inverse() @ result.pose if nodes else result.pose
+        since = nodes[-1].T_local_base.inverse() @ pose if nodes else pose
         self._scans.add(scan.stamp, len(nodes) - 1, since)
-        return self._graph.T_map_local @ result.pose
+        return self._graph.T_map_local @ pose
 
     def map(self) -> OccupancyGrid:
         """Return the map of all nodes at their final poses (see OccupancyMap)."""

@@ -36,13 +36,6 @@ MAX_BOUND = 255
 """Bound that stands for the largest probability of a cell; 0 is the smallest, as of unknown cells."""
 
 
-class FoundLoop(NamedTuple):
-    """Pose of the points in the local frame, and their mean probability before refinement."""
-
-    pose: Pose2
-    score: float
-
-
 class LoopSearcher:
     """Searches one finished submap; its bounds are computed once."""
 
@@ -64,8 +57,11 @@ class LoopSearcher:
         self._num_samples += 1
         return True
 
-    def search(self, points: Float32Array, expected: Pose2) -> FoundLoop | None:
-        """Return the best pose of points (n, 2) near an expected one, if good enough."""
+    def search(self, points: Float32Array, expected: Pose2) -> tuple[Pose2, float] | None:
+        """Return the best pose of points (n, 2) near an expected one, and its score, if good enough.
+
+        The score is the mean probability before refinement.
+        """
         c, grid = self._config, self._grid
         cells, turns, reach = rotated_cells(
             grid, points, expected, c.linear_search_window, c.angular_search_window
@@ -83,7 +79,7 @@ class LoopSearcher:
         edge = grid.resolution
         found = shifted_pose(expected, row * edge, col * edge, float(turns[k]))
         score = float(1 - MAX_COST) + scale * total / len(points)
-        return FoundLoop(match_scan(grid, points, found, found, c.loop_matcher), score)
+        return match_scan(grid, points, found, found, c.loop_matcher), score
 
 
 def bound_grids(grid: ProbabilityGrid, depth: int) -> ByteArray:
@@ -408,13 +404,14 @@ class OriginalPoseGraph:
         found = searcher.search(node.points, T_local_submap @ relative)
         if found is None:
             return
-        measured = T_local_submap.inverse() @ found.pose
+        pose, score = found
+        measured = T_local_submap.inverse() @ pose
         weights = c.loop_closure_translation_weight, c.loop_closure_rotation_weight
         self._ties.append(pose_tie(submap, index, measured, weights, loop=True))
         seen = self.nodes[min(self._members[submap])].stamp
         base = Pose2(yaw=node.heading)
         before, after = self._node_poses[index] @ base, self._submap_poses[submap] @ measured @ base
-        self.events.append(LoopEvent(node.stamp, seen, before, after, found.score))
+        self.events.append(LoopEvent(node.stamp, seen, before, after, score))
 
     def _adjust(self, iterations: list[int]) -> tuple[list[Pose2], list[Pose2]]:
         return adjust(

@@ -112,23 +112,18 @@ def adaptive_voxel_filter(points: Float32Array, config: CartographerOriginalConf
     found = voxel_filter(points, c.adaptive_max_length)
     if len(found) >= c.adaptive_min_num_points:
         return found
-    high = c.adaptive_max_length
+    low = high = c.adaptive_max_length
     while high > 0.01 * c.adaptive_max_length:
-        found = voxel_filter(points, low := high / 2)
+        low = high / 2
+        found = voxel_filter(points, low)
         if len(found) >= c.adaptive_min_num_points:
-            return _bisect_length(points, found, low, high, c.adaptive_min_num_points)
+            break
         high = low
-    return found
-
-
-def _bisect_length(
-    points: Float32Array, found: Float32Array, low: float, high: float, enough: int
-) -> Float32Array:
-    """Return the points of the largest edge from `low` to `high` that keeps enough."""
+    # No edge is left in between if even the smallest one keeps too few.
     while (high - low) / low > 0.1:
         middle = (low + high) / 2
         candidate = voxel_filter(points, middle)
-        if len(candidate) >= enough:
+        if len(candidate) >= c.adaptive_min_num_points:
             low, found = middle, candidate
         else:
             high = middle

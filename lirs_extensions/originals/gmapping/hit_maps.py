@@ -150,23 +150,16 @@ class MatchingParameters(NamedTuple):
     lsigma: float
 
 
-class HillClimbMatch(NamedTuple):
-    """Pose (3,) of a matched scan, or the expected one, and its log-likelihood."""
-
-    pose: FloatArray
-    log_likelihood: float
-
-
 def match_scan(
     hits: HitMap, expected: FloatArray, ends: FloatArray, parameters: MatchingParameters
-) -> HillClimbMatch:
-    """Match a scan to a map, from the expected pose (3,) of `T_map_base`.
+) -> tuple[FloatArray, float]:
+    """Return the pose (3,) of a matched scan, or the expected `T_map_base`, and its log-likelihood.
 
     The ends of beams (n, 2) are in the base frame, meters.
     """
     found, score = _climb(hits, expected, ends, parameters)
     pose = found if score > 0 else expected
-    return HillClimbMatch(pose, float(_score(hits, pose, ends, parameters)[1]))
+    return pose, float(_score(hits, pose, ends, parameters)[1])
 
 
 @njit

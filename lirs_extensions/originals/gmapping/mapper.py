@@ -106,11 +106,6 @@ class GmappingOriginalMapper(PlanarMapper):
         self._processed_at = self._best = Pose2()
         self._distance = self._turn = 0.0
 
-    @property
-    def resolution(self) -> float:
-        """Edge of a cell of the map, meters."""
-        return self.config.delta
-
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Move the particles by the odometry, process the scan if due; return `T_map_base`."""
         assert odometry is not None, "it is required"

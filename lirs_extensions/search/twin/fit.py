@@ -308,12 +308,8 @@ def fit_odometry(
 def odometry_deviations(odometry: FloatArray, poses: FloatArray) -> tuple[float, float] | None:
     """Return deviations of distance, relative, and turn, radians, over segments of 5 m.
 
-    Args:
-        odometry: (n, 3) poses by odometry, in any frame.
-        poses: (n, 3) true or matched poses.
-
-    Returns:
-        None if the path has too few segments.
+    The odometry (n, 3) is in any frame, the poses (n, 3) are true or matched. None if the path has too few
+    segments.
     """
     keys, ends = _segments(poses)
     if len(ends) <= SEGMENTS:
@@ -350,10 +346,8 @@ def _errors(estimate: FloatArray, truth: FloatArray, ends: IntArray) -> tuple[Fl
 def _spread(found: FloatArray, matching: FloatArray, mean: float) -> tuple[float, float]:
     """Return the deviations of scale and turn rate without those of the matching.
 
-    Args:
-        found: (n, 3) errors of distance and turn, and seconds, of each segment.
-        matching: (n, 3) the same of the matched poses.
-        mean: variance of a segment's mean scale error over that of the scale error.
+    Both (n, 3) are errors of distance and turn, and seconds, of each segment. The mean is the variance of a
+    segment's mean scale error over that of the scale error.
     """
     scale = max(_variance(found[:, 0]) - _variance(matching[:, 0]), 0.0) / mean
     rates = []

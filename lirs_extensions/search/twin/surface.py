@@ -193,11 +193,7 @@ def _fit_line(
 
 @njit(inline="always")
 def _line_at(surfaces: Any, x: float, y: float, dx: float, dy: float) -> Any:
-    """Return the line of the cell at a point for a viewing direction.
-
-    Returns:
-        Normal x, y, its distance from the origin along the normal, meters, and the number of points.
-    """
+    """Return the line of a cell by viewing direction: normal, distance from the origin, points."""
     slot, lines, low = surfaces
     c, r = int(np.floor((x - low[0]) / CELL)), int(np.floor((y - low[1]) / CELL))
     if not (0 <= r < slot.shape[0] and 0 <= c < slot.shape[1]) or slot[r, c] < 0:
@@ -329,7 +325,6 @@ class LogComparison:
     Attributes:
         scans: all scans at their matched poses.
         beams: expected beams of all scans.
-        surfaces: lines of the even blocks' map.
         used: (n,) scans that are compared: in odd blocks, and localized.
         compared: (n, beams) beams that are compared.
         residual: (n, beams) measured less expected range, meters; not finite where nothing was measured.
@@ -337,7 +332,6 @@ class LogComparison:
 
     scans: LogScans
     beams: Expected
-    surfaces: Surfaces
     used: BoolArray
     compared: BoolArray
     residual: FloatArray
@@ -375,7 +369,7 @@ def compare(scans: LogScans) -> LogComparison:
     used = ~even & (share >= LOCALIZED)
     with np.errstate(invalid="ignore"):
         residual = scans.ranges - beams.ranges
-    return LogComparison(placed, beams, surfaces, used, beams.flat & used[:, None], residual)
+    return LogComparison(placed, beams, used, beams.flat & used[:, None], residual)
 
 
 def simulate_scans(real: LogComparison, start: FloatArray, noise: LidarNoise, seed: int) -> LogScans:

@@ -313,8 +313,8 @@ def _by_incidence(real: LogComparison) -> list[dict[str, float]]:
     return rows
 
 
-def write_page(folder: Path, result: TwinResult, command: str) -> Path:
-    """Write `twin.html` and its pictures; return the page's path."""
+def write_page(folder: Path, result: TwinResult, command: str) -> None:
+    """Write `twin.html` and its pictures."""
     pictures = {"scans": scans_figure(result), "residuals": residual_figure(result.fitted)}
     if result.replay is not None and result.replay.pairs:
         pictures["replay"] = replay_figure(result.replay)
@@ -333,9 +333,7 @@ def write_page(folder: Path, result: TwinResult, command: str) -> Path:
     ]
     command_section = PageSection("command", "Command", commands=(command,))
     html = page_html(f"Twin test: {result.name}", result.sentences, [*sections, command_section])
-    page = folder / "twin.html"
-    page.write_text(html, encoding="utf-8")
-    return page
+    (folder / "twin.html").write_text(html, encoding="utf-8")
 
 
 def ranked_scans(result: TwinResult) -> tuple[IntArray, FloatArray]:
@@ -363,12 +361,10 @@ def scans_figure(result: TwinResult) -> Drawing:
         k = int(rows[at])
         simulated = noisy_ranges(beams.ranges[k : k + 1], scans.range_max, noise, k)[0]
         reach = float(np.quantile(scans.ranges[k][np.isfinite(scans.ranges[k])], 0.98)) * 1.1
-        for ax, ranges, color, what in zip(
-            axes[line],
-            (scans.ranges[k], simulated),
-            (BLUE, VERMILLION),
-            ("real scan", "simulated"),
-            strict=False,
+        real, simulation, difference = axes[line]
+        for ax, ranges, color, what in (
+            (real, scans.ranges[k], BLUE, "real scan"),
+            (simulation, simulated, VERMILLION, "simulated"),
         ):
             for shown, size, shade in ((beams.ranges[k], 6, GRAY), (ranges, 3, color)):
                 known = np.isfinite(shown)
@@ -381,9 +377,9 @@ def scans_figure(result: TwinResult) -> Drawing:
             ax.set_ylim(-reach / 4, reach)
             ax.set_aspect("equal")
             plain_axes(ax, "m", "m")
-            title(ax, f"{name}: {what}" if ax is axes[line][0] else what)
-        _difference(axes[line][2], result, k, simulated.astype(np.float64))
-        title(axes[line][2], f"difference, mean {1000 * means[at]:.0f} mm")
+            title(ax, f"{name}: {what}" if ax is real else what)
+        _difference(difference, result, k, simulated.astype(np.float64))
+        title(difference, f"difference, mean {1000 * means[at]:.0f} mm")
     return figure
 
 
@@ -393,14 +389,8 @@ def _difference(ax: Axes, result: TwinResult, k: int, simulated: FloatArray) -> 
     compared = result.real.compared[k]
     expected = np.where(compared, result.real.beams.ranges[k], np.nan)
     for ranges, color in ((simulated, VERMILLION), (result.real.scans.ranges[k], BLUE)):
-        error = 1000 * (ranges - expected)
-        ax.plot(
-            angles[compared],
-            np.clip(error, -1000 * GATE, 1000 * GATE)[compared],
-            ".",
-            color=color,
-            markersize=4,
-        )
+        shown = 1000 * np.clip(ranges - expected, -GATE, GATE)
+        ax.plot(angles[compared], shown[compared], ".", color=color, markersize=4)
     plain_axes(ax, "beam, deg", "measured less expected, mm")
 
 

@@ -8,11 +8,9 @@ from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.motion import PoseDistributions
 from slam_baselines.gmapping.particles import effective_number, normalize, systematic_resample
-from slam_baselines.gmapping.proposal import First, Proposal, Proposer
+from slam_baselines.gmapping.proposal import Proposal, Proposer
 from slam_baselines.gmapping.scan_matching import ScanBeams, log_likelihood, near_beams
 from slam_baselines.leveling import ScanPoints
-
-ALONE = First(0, False)
 
 
 def ends(
@@ -42,11 +40,17 @@ def mapped(particles: int, *box: float, beams: int = 360, most: float = 12) -> P
 
 
 def proposed(
-    maps: PatchMaps, points: np.ndarray, expected: np.ndarray, seed: int = 0, first: First = ALONE
+    maps: PatchMaps,
+    points: np.ndarray,
+    expected: np.ndarray,
+    seed: int = 0,
+    first: int = 0,
+    wide: bool = False,
 ) -> Proposal:
     odometry = PoseDistributions(expected, np.tile(np.diag((0.01, 0.01, 0.01)), (len(expected), 1, 1)))
     beams = ScanBeams(points, np.ones(len(points)))
-    return Proposer(GmappingConfig()).propose(maps, beams, 0, odometry, first, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    return Proposer(GmappingConfig()).propose(maps, beams, 0, odometry, first, rng, wide=wide)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +86,7 @@ def test_side_walls_that_fit_do_not_hide_end_walls_that_do_not(wide: bool, error
     corridor, truth = (-3.0, 4.0, -1.0, 1.2), np.array((0.2, 0.1, 0.0))
     maps = mapped(3, *corridor, beams=1440)
     points = ends(Pose2(*truth), *corridor)
-    got = proposed(maps, points, np.tile(truth, (3, 1)) + np.array((0.4, 0.0, 0.0)), first=First(1, wide))
+    got = proposed(maps, points, np.tile(truth, (3, 1)) + np.array((0.4, 0.0, 0.0)), first=1, wide=wide)
     np.testing.assert_allclose(got.means[:, 0] - truth[0], error, atol=0.05)
     np.testing.assert_allclose(got.means[:, 1:], np.tile(truth[1:], (3, 1)), atol=0.02)
     assert np.all(got.hit_ratio > 0.5)
