@@ -98,13 +98,12 @@ def test_a_forecast_tells_walls_from_bare_hills_and_is_only_given_for_what_was_s
 @pytest.mark.parametrize("walled", [True, False])
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_window_with_walls_is_found_in_a_large_source(walled: bool, tmp_path: Path) -> None:
-    heights = np.zeros((481, 481), np.uint8)
-    heights[0, 0] = 255
-    if walled:  # two walls, 2 m high, in the northeast
-        heights[90:110, 340:344] = heights[90:94, 340:370] = 255
+    heights = np.tile(np.linspace(0, 255, 481), (481, 1)).astype(np.uint8)
+    if walled:  # two trenches, 3 m deep, in the northeast
+        heights[90:110, 340:344] = heights[90:94, 340:370] = 0
     picture = tmp_path / "plain.png"
     assert cv2.imwrite(str(picture), heights)
-    config = RunConfig(source=str(picture), mapper="hector", build=BuildOptions(size=(240, 240), height=2))
+    config = RunConfig(source=str(picture), mapper="hector", build=BuildOptions(size=(240, 240), height=4))
     found = changes(DriveSite(build_scenario(config).world, config), short=False)
     windows = [window for other in found.values() if (window := other.build.window) is not None]
     assert len(windows) == walled
