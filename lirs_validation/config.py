@@ -63,11 +63,7 @@ LOG = "The log"
 
 
 def driver_parts(text: str) -> tuple[str, str]:
-    """Return kind and argument of a driver, such as `frontier`, `goal:X,Y`, `replay:RUN` or `client`.
-
-    Raises:
-        ConfigError: the text is none of these.
-    """
+    """Return kind and argument of a driver, such as `frontier`, `goal:X,Y`, `replay:RUN` or `client`."""
     if text in (MANUAL, CLIENT):
         return text, ""
     kind, colon, path = text.partition(":")
@@ -82,9 +78,6 @@ def read_drivers(text: str, flag: str = "--driver") -> tuple[str, ...]:
     """Return the drivers of a list such as `tour,replay:out/a,b`, without repetitions.
 
     A path may hold commas: the list is split before each driver.
-
-    Raises:
-        ConfigError: one is no driver.
     """
     plain = "|".join(name for name, argument in DRIVERS.items() if argument[:1] != ":")
     with_path = "|".join(name for name, argument in DRIVERS.items() if argument)
@@ -425,9 +418,6 @@ class MapConfig(LogOptions):
         Args:
             content: Content of the log, or its file, in place of its path.
             readings: Content of the file of inertial readings, if any.
-
-        Raises:
-            OSError: the file cannot be read.
         """
         entry = digest_fields(self) | {"log": sha256(content)}
         return digest_text(entry if readings is None else entry | {"imu": sha256(readings)})

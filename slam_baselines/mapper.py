@@ -264,11 +264,7 @@ def reads_clouds(mapper: object) -> TypeGuard[CloudMapper]:
 
 
 def required_odometry(mapper: str, odometry: Pose2 | None, stamp: float) -> Pose2:
-    """Return the odometry at a scan's stamp.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """Return the odometry at a scan's stamp."""
     if odometry is None:
         raise ConfigError(f"{mapper} needs odometry, the scan at {stamp} s has none; hector maps without")
     return odometry
@@ -361,11 +357,7 @@ def _make(name: str, seed: int | None, values: dict[str, Any]) -> Any:
 
 
 def read_parameters(text: str, label: str = "--parameters") -> dict[str, Any]:
-    """Return names and values of a text such as `srr=0.1,particles=20`; of "" none.
-
-    Raises:
-        ConfigError: the text is no such list.
-    """
+    """Return names and values of a text such as `srr=0.1,particles=20`; of "" none."""
     values: dict[str, Any] = {}
     for part in text.split(",") if text else ():
         name, _, value = (word.strip() for word in part.partition("="))

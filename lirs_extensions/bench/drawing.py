@@ -88,11 +88,7 @@ def draw_set(
     seed: int,
     progress: Callable[[str, float], None] = lambda step, share: None,
 ) -> TaskSet:
-    """Draw tasks in each world; the same seed draws the same tasks.
-
-    Raises:
-        SourceError: a world has no room for the robot, or two worlds have one name.
-    """
+    """Draw tasks in each world; the same seed draws the same tasks."""
     tasks: list[BenchTask] = []
     sources: dict[str, str] = {}
     for place in worlds:
@@ -150,9 +146,6 @@ class TaskDrawing:
 
         A start, and a goal if there is one, have room around them and a way between them. The goal is 10 to
         30 m away, or as far as the world allows; where that finds none, 2 to 3 m.
-
-        Raises:
-            SimulationError: there are none.
         """
         env = self._env
         for number in range(2 * DRAWS):

@@ -76,16 +76,6 @@ class PolicyResult:
     episodes: dict[str, dict[str, Any]]
 
     @property
-    def successes(self) -> float:
-        """Share of the episodes that succeeded."""
-        return self._share("success")
-
-    @property
-    def collisions(self) -> float:
-        """Share of the episodes that ended by a collision."""
-        return self._share("collision")
-
-    @property
     def failed(self) -> int:
         """Number of episodes in which the policy failed or that could not run."""
         return sum(entry["status"] != "ok" for entry in self.episodes.values())
@@ -95,8 +85,9 @@ class PolicyResult:
         """Whether the policy gets simulator-only data."""
         return self.policy.name == UPPER_BOUND or any(e["privileged"] for e in self.episodes.values())
 
-    def _share(self, name: str) -> float:
-        return sum(bool(entry["metrics"][name]) for entry in self.episodes.values()) / len(self.episodes)
+    def share(self, metric: str) -> float:
+        """Return the share of the episodes in which a metric is true."""
+        return sum(bool(entry["metrics"][metric]) for entry in self.episodes.values()) / len(self.episodes)
 
 
 def share_of_bound(result: PolicyResult, results: Sequence[PolicyResult]) -> float | None:
@@ -200,8 +191,7 @@ def _row(result: PolicyResult, results: Sequence[PolicyResult]) -> tuple[str, ..
         result.policy.label + ("*" if result.privileged else ""),
         f"{result.score.mean:.3f}",
         interval(result.score),
-        f"{result.successes:.2f}",
-        f"{result.collisions:.2f}",
+        *(f"{result.share(name):.2f}" for name in ("success", "collision")),
         str(result.failed),
         NOTHING if share is None else f"{share:.2f}",
         str(result.score.count),
@@ -212,7 +202,8 @@ def write_scores(path: Path, results: Sequence[PolicyResult], about: dict[str, o
     """Write the table as JSON, each policy with its tasks' scores."""
     policies = [
         {"policy": result.policy.name, "arguments": dict(result.policy.arguments)}
-        | {"score": vars(result.score), "success": result.successes, "collision": result.collisions}
+        | {"score": vars(result.score)}
+        | {name: result.share(name) for name in ("success", "collision")}
         | {"failed": result.failed, "of_astar": share_of_bound(result, results)}
         | {"tasks": {name: entry["metrics"]["score"] for name, entry in sorted(result.episodes.items())}}
         for result in results

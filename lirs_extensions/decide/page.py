@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -168,7 +167,12 @@ def write_decision(out: Path, answers: Sequence[Answer], command: str, scenarios
     """Write `verdict.html`, `verdict.png` and `verdict.json`; return the page's path."""
     picture = png(decision_figure(answers, out, scenarios))
     sentences = [conclusion(answer) for answer in answers]
-    entries = [_json(answer, sentence) for answer, sentence in zip(answers, sentences, strict=True)]
+    entries = [
+        {"world": answer.world, "sentence": sentence}
+        | {"changes": [{"change": change.label} | change.to_dict() for change in answer.changes]}
+        | answer.trial.to_dict()
+        for answer, sentence in zip(answers, sentences, strict=True)
+    ]
     write_json(out / "verdict.json", {"command": command, "answers": entries})
     with atomic_write(out / "verdict.png") as path:
         path.write_bytes(picture)
@@ -186,12 +190,6 @@ def write_decision(out: Path, answers: Sequence[Answer], command: str, scenarios
     with atomic_write(page) as path:
         path.write_text(html, encoding="utf-8")
     return page
-
-
-def _json(answer: Answer, sentence: str) -> dict[str, Any]:
-    """Return an answer as JSON stores it."""
-    changes = [{"change": change.label} | change.to_dict() for change in answer.changes]
-    return {"world": answer.world, "sentence": sentence, "changes": changes} | answer.trial.to_dict()
 
 
 def decision_figure(answers: Sequence[Answer], out: Path, scenarios: ScenarioCache) -> Drawing:

@@ -181,11 +181,7 @@ SECTIONS: dict[str, type[Any]] = {
 
 
 def resolve_noise(noise: str) -> SensorNoise:
-    """Return the noise of a level of the lidar, or of a YAML file.
-
-    Raises:
-        SourceError: it is no level, and no such file can be used.
-    """
+    """Return the noise of a level of the lidar, or of a YAML file."""
     for level in LEVELS:
         if noise == level:
             return SensorNoise(lidar=level)
@@ -226,12 +222,7 @@ def read_noise(path: Path) -> SensorNoise:
 
 
 def write_noise(path: Path, noise: SensorNoise, comment: str) -> None:
-    """Write the noise, and faults if any, as a YAML file that begins with a comment.
-
-    Raises:
-        OutputError: the file cannot be written.
-        ConfigError: the lidar's noise is a level.
-    """
+    """Write the noise, and faults if any, as a YAML file that begins with a comment."""
     if not isinstance(noise.lidar, LidarNoise):
         raise ConfigError(f"a noise file needs the lidar's own figures, got level {noise.lidar!r}")
     written = [name for name in SECTIONS if name != "faults" or noise.faults.any]
