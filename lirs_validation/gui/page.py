@@ -218,7 +218,7 @@ class OptionControls:
         options: type[Options],
         *,
         changed: Callable[[], None] = lambda: None,
-        keep_file: Callable[[str, bytes], str] = lambda name, content: "",
+        keep_file: Callable[[str, bytes], Path] = lambda name, content: Path(name),
         first: tuple[str, ...],
         more: str = "",
         only: Collection[str] = (),
@@ -259,7 +259,13 @@ class OptionControls:
         gui, title, start, hint = self._gui, control.title, control.initial, control.hint
         handle: Any
         if control.kind == "file":
-            return self._add_file(control)
+            handle = gui.add_upload_button(f"{title} ...", hint=hint)
+
+            def keep_upload(_: Any) -> None:
+                self.set_file(control.name, self._keep_file(handle.value.name, handle.value.content))
+
+            handle.on_upload(self._guard(keep_upload))
+            return handle
         if control.kind == "switch":
             handle = gui.add_checkbox(title, bool(start), hint=hint)
         elif control.kind == "choice":
@@ -271,26 +277,12 @@ class OptionControls:
         handle.on_update(self._guard(lambda _: self._changed()))
         return handle
 
-    def _add_file(self, control: Control) -> Any:
-        handle = self._gui.add_upload_button(f"{control.title} ...", hint=control.hint)
-
-        def keep_upload(_: Any) -> None:
-            self.set_file(control.name, Path(self._keep_file(handle.value.name, handle.value.content)))
-
-        handle.on_upload(self._guard(keep_upload))
-        return handle
-
     def set_file(self, option: str, path: Path) -> None:
         """Give an option a file, and show its name."""
         self._files[option] = str(path)
         control, handle = next(shown for shown in self._shown if shown[0].name == option)
         handle.label = f"{control.title}: {path.name}"
         self._changed()
-
-
-def add_drop_zone(gui: viser.GuiApi, label: str) -> None:
-    """Send dropped files to the upload button with this label, YAML files last."""
-    gui.add_html(with_script("drop", label))
 
 
 class Stick:

@@ -234,11 +234,8 @@ class DriveScene:
             size = f"{east - west:.0f} x {north - south:.0f} m"
             self._picture.image = with_paths(self._cells, self._canvas, moment.truth[:, :2], moment.estimate)
         self._legend.content = LEGEND.format(size, error_scale(moment.errors))
-        self._pin(*without_flags(moment.verdict).split(": ", 1))
-
-    def _pin(self, title: str, verdict: str) -> None:
-        """Keep the verdict visible over the scene."""
-        if self._verdict is None:
+        title, verdict = without_flags(moment.verdict).split(": ", 1)
+        if self._verdict is None:  # stays visible over the scene
             self._verdict = self._client.add_notification(title, verdict, with_close_button=False)
         self._verdict.title, self._verdict.body = title, verdict
 

@@ -14,7 +14,7 @@ import viser
 from lirs_validation.config import LogOptions, MapConfig, RunConfig
 from lirs_validation.gui.construction import Facts, Shown, build, preview
 from lirs_validation.gui.controls import to_goal
-from lirs_validation.gui.page import OptionControls, PageContext, Stick, add_drop_zone, as_table, asset
+from lirs_validation.gui.page import OptionControls, PageContext, Stick, as_table, asset, with_script
 from lirs_validation.gui.playback import LiveDrive, Playback, read_playback, runs_in, unpacked_run
 from lirs_validation.report.run_tables import command_of
 from lirs_wct import BuildOptions, ConfigError
@@ -73,7 +73,7 @@ class WorldTab:
             hint="Picture of heights, laser map with its picture, mesh, laser log or bag.",
         )
         upload.on_upload(guard(lambda _: self.open(upload.value.name, upload.value.content)))
-        add_drop_zone(gui, "Open files")
+        gui.add_html(with_script("drop", "Open files"))
         self._as_map = gui.add_button(
             "Read as a map", color="yellow", visible=False, hint=f"{MAP_RESOLUTION:g} m a pixel unless given."
         )
@@ -113,10 +113,10 @@ class WorldTab:
         self._build.disabled = True
         self._page.worker.submit("build", self._build_now)
 
-    def _keep(self, name: str, content: bytes) -> str:
+    def _keep(self, name: str, content: bytes) -> Path:
         path = self._page.uploads.add(name, content)
         self._page.scenarios.clear()  # a new file may have the name of an old one
-        return str(path)
+        return path
 
     def open(self, name: str, content: bytes) -> None:
         """Show one file or several; world and controls stay if refused."""
@@ -324,23 +324,20 @@ class DriveTab(PlaybackTab[LiveDrive]):
         gui = page.client.gui
         self._hint = gui.add_markdown(CLICK)
         self._controls = OptionControls(gui, page.guard, RunConfig, first=RUN_OPTIONS, more=MORE)
-        self._add_buttons(gui)
+        start = gui.add_button(
+            "Start", color="green", icon=viser.Icon.PLAYER_PLAY, hint="From the start pose."
+        )
+        start.on_click(page.guard(lambda _: self.start()))
+        self._add_play("Go on", tuple(SPEEDS))
+        self._step = gui.add_button("Step one scan", icon=viser.Icon.PLAYER_SKIP_FORWARD, disabled=True)
+        self._step.on_click(page.guard(lambda _: page.worker.submit("step", self._step_one)))
+        self._save = gui.add_button("Save the run", icon=viser.Icon.DOWNLOAD, disabled=True)
+        self._save.on_click(page.guard(lambda _: page.worker.submit("save", self._save_now)))
         self._add_timeline()
         self._by_hand = gui.add_checkbox("drive by hand", False)
         self._by_hand.on_update(page.guard(lambda _: self._apply()))
         self._stick = Stick(gui, page.guard, self._steer)
         self._command = gui.add_html("", visible=False)
-
-    def _add_buttons(self, gui: viser.GuiApi) -> None:
-        start = gui.add_button(
-            "Start", color="green", icon=viser.Icon.PLAYER_PLAY, hint="From the start pose."
-        )
-        start.on_click(self._page.guard(lambda _: self.start()))
-        self._add_play("Go on", tuple(SPEEDS))
-        self._step = gui.add_button("Step one scan", icon=viser.Icon.PLAYER_SKIP_FORWARD, disabled=True)
-        self._step.on_click(self._page.guard(lambda _: self._page.worker.submit("step", self._step_one)))
-        self._save = gui.add_button("Save the run", icon=viser.Icon.DOWNLOAD, disabled=True)
-        self._save.on_click(self._page.guard(lambda _: self._page.worker.submit("save", self._save_now)))
 
     def click(self, place: Place) -> None:
         """Take a clicked place: first the start, then the goal, to which the robot drives."""
@@ -433,25 +430,22 @@ class ReplayTab(PlaybackTab[Playback]):
     def __init__(self, page: PageContext, runs: Path | None, begun: Callable[[], None]) -> None:
         super().__init__(page, begun)
         self._runs = runs
-        self._add_choice(page.client.gui)
-        self._add_play("Play", tuple(SPEEDS)[:-1], "green")
-        self._add_timeline()
-
-    def _add_choice(self, gui: viser.GuiApi) -> None:
-        self._choice = gui.add_dropdown("run", (NONE,), hint="Runs on the server.")
-        self._choice.visible = self._runs is not None
-        self._choice.on_update(self._page.guard(self._chosen))
-        refresh = gui.add_button("Look for runs", icon=viser.Icon.REFRESH, visible=self._runs is not None)
-        refresh.on_click(self._page.guard(lambda _: self._look()))
+        gui, guard, listed = page.client.gui, page.guard, runs is not None
+        self._choice = gui.add_dropdown("run", (NONE,), hint="Runs on the server.", visible=listed)
+        self._choice.on_update(guard(self._chosen))
+        refresh = gui.add_button("Look for runs", icon=viser.Icon.REFRESH, visible=listed)
+        refresh.on_click(guard(lambda _: self._look()))
         upload = gui.add_upload_button(
             "Open a zipped run ...",
             icon=viser.Icon.UPLOAD,
             mime_type=".zip",
             hint="A run's folder as a zip archive, as Save the run gives it.",
         )
-        upload.on_upload(self._page.guard(lambda _: self._open(upload.value.content)))
-        add_drop_zone(gui, "Open a zipped run")
+        upload.on_upload(guard(lambda _: self._open(upload.value.content)))
+        gui.add_html(with_script("drop", "Open a zipped run"))
         self._look()
+        self._add_play("Play", tuple(SPEEDS)[:-1], "green")
+        self._add_timeline()
 
     def _look(self) -> None:
         self._choice.options = (NONE, *(() if self._runs is None else runs_in(self._runs)))

@@ -174,27 +174,24 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
 @contextmanager
 def log_mapper(config: MapConfig) -> Iterator[MapperUnderTest]:
     """Give the mapper of a log; foreign code works in its own process."""
-    with closing(_start(config)) as mapper:
-        if mapper.reads_clouds and not is_bag(Path(config.log)):
-            raise ConfigError(
-                f"{config.log}: mapper {config.mapper} reads point clouds, a CARMEN log holds planar scans; "
-                f"legal: {', '.join(MAPPERS)}"
-            )
-        yield mapper
-
-
-def _start(config: MapConfig) -> MapperUnderTest:
     name, resolution = config.mapper, config.resolution
+    mapper: MapperUnderTest
     if needs_process(name):
         if resolution is not None and name not in ALL_CLOUD_MAPPERS:
             raise ConfigError(f"resolution can be given for {', '.join(MAPPERS)} only")
-        return MapperProcess(config)
-    if resolution is None or name not in MAPPERS:
-        mapper = mapper_named(name, config.seed, config.parameters)
+        mapper = MapperProcess(config)
+    elif resolution is None or name not in MAPPERS:
+        mapper = LocalMapper(mapper_named(name, config.seed, config.parameters), name, config.attitude)
     else:
         parameters = {"resolution": resolution} | read_parameters(config.parameters)
-        mapper = make_mapper(name, seed=config.seed, **parameters)
-    return LocalMapper(mapper, name, config.attitude)
+        mapper = LocalMapper(make_mapper(name, seed=config.seed, **parameters), name, config.attitude)
+    with closing(mapper):
+        if mapper.reads_clouds and not is_bag(Path(config.log)):
+            raise ConfigError(
+                f"{config.log}: mapper {name} reads point clouds, a CARMEN log holds planar scans; "
+                f"legal: {', '.join(MAPPERS)}"
+            )
+        yield mapper
 
 
 def warm_up_log_mapper(config: MapConfig) -> None:

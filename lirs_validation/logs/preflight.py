@@ -92,7 +92,12 @@ def check_log_data(log: LaserLog) -> Preflight:
 
 def _facts(log: LaserLog) -> Iterator[tuple[str, str]]:
     for topic in log.topics:
-        yield topic.name, _topic_text(topic)
+        seconds = float(np.ptp(topic.stamps))
+        rate = f", {(len(topic.stamps) - 1) / seconds:.1f} Hz" if seconds > 0 else ""
+        frames = f", {', '.join(topic.frames)}" if any(topic.frames) else ""
+        lag = _lag(topic)
+        late = "" if lag is None or abs(lag) > ANOTHER else f", stamps {1000 * lag:.0f} ms before reception"
+        yield topic.name, f"{len(topic.stamps)} messages{rate}{frames}{late}"
     stamps = log.stamps
     yield "time", f"{stamps[-1] - stamps[0]:.1f} s from {stamps[0]:.3f} s"
     if len(log.topics) > 1 and len(log.track):
@@ -125,20 +130,9 @@ def _scan_facts(log: LaserLog) -> Iterator[tuple[str, str]]:
     yield "ranges", f"{returned} measured{longest}; {none} no return, {invalid} invalid"
 
 
-def _topic_text(topic: LogTopic) -> str:
-    seconds = float(np.ptp(topic.stamps))
-    rate = f", {(len(topic.stamps) - 1) / seconds:.1f} Hz" if seconds > 0 else ""
-    frames = f", {', '.join(topic.frames)}" if any(topic.frames) else ""
-    lag = _lag(topic)
-    late = "" if lag is None or abs(lag) > ANOTHER else f", stamps {1000 * lag:.0f} ms before reception"
-    return f"{len(topic.stamps)} messages{rate}{frames}{late}"
-
-
 def _lag(topic: LogTopic) -> float | None:
     """Return the median time from stamp to reception, seconds; None where unknown."""
-    if not len(topic.received):
-        return None
-    return float(np.median(topic.received - topic.stamps))
+    return float(np.median(topic.received - topic.stamps)) if len(topic.received) else None
 
 
 def _pauses(log: LaserLog) -> Iterator[Deviation]:
@@ -170,8 +164,7 @@ def _clock_faults(log: LaserLog) -> Iterator[Deviation]:
 
 def _odometry_faults(log: LaserLog) -> Iterator[Deviation]:
     if not len(log.track):
-        what = "no odometry, or one that never changes"
-        yield Deviation(what, "--mapper hector maps without")
+        yield Deviation("no odometry, or one that never changes", "--mapper hector maps without")
         return
     steps = np.linalg.norm(np.diff(log.track.xy, axis=0), axis=1)
     usual = 3 * float(np.median(steps)) if len(steps) else 0.0

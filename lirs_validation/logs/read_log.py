@@ -22,8 +22,7 @@ from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.sources.source import is_bag
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
 
-Relations = tuple[RelativePoseConstraint, ...]
-Truth = tuple[Relations | None, Trajectory | None]
+Truth = tuple[tuple[RelativePoseConstraint, ...] | None, Trajectory | None]
 """True relations and reference trajectory of a log; None where they are not given."""
 
 
