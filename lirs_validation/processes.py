@@ -161,7 +161,7 @@ def raise_interrupts() -> None:
 
 @contextmanager
 def interrupt_after(seconds: float) -> Iterator[None]:
-    """Raise KeyboardInterrupt in a block that lasts longer; Windows has no alarm and waits for its end."""
+    """Raise KeyboardInterrupt in a block that lasts longer. Windows has no alarm."""
     if sys.platform == "win32":
         yield
         return

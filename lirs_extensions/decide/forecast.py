@@ -315,7 +315,7 @@ def _longer_lidar(config: RunConfig) -> dict[str, RunConfig]:
 
 
 def _walled_window(site: DriveSite) -> dict[str, RunConfig]:
-    """Return the run in a window of a large source whose steep faces the scans meet."""
+    """Return the run in a window of a large source that has walls."""
     config = site.config
     whole = build_world(config.source, replace(config.build, window=None))
     if not is_large(whole):

@@ -1,1 +1,1 @@
-"""Live drives: a ROS 2 system drives and maps in our worlds; no ROS installation is needed here."""
+"""Live drives: a ROS 2 system drives and maps in our worlds."""

@@ -113,7 +113,7 @@ class ProgressNotes:
         self._explained = False
 
     def observe(self, work: str, step: str, text: str, share: float, left: str = "") -> None:
-        """Take in a step of some work; write its text after a while, with the time left."""
+        """Take in a step of some work; write text and time left after a while."""
         if step != "compile":
             self.end(work)
         elif work not in self._compilations and not self._explained:
@@ -161,7 +161,7 @@ def run_with_progress(
     console: Console = err,
     watch: Callable[[str, str, float], None] = lambda name, step, share: None,
 ) -> Generator[Outcome]:
-    """Run a sweep's tasks under a bar with the time left; `watch` gets name, step and share of each."""
+    """Run a sweep under a bar with the time left; `watch` gets name, step and share."""
     running: dict[str, float] = {}
     done, total, time_left = 0, len(sweep.pending), sweep.time_left
     column = TextColumn("{task.fields[left]}") if total > 1 else TimeRemainingColumn()

@@ -322,7 +322,7 @@ class TimeLeft:
 
 
 def _typical_cost(config: RunConfig | None) -> tuple[list[tuple[str, ...]], float | None]:
-    """Return the kinds of a task, the narrowest first, and its seconds on an idle machine, if known."""
+    """Return a task's kinds, the narrowest first, and its typical seconds, if known."""
     if config is None:
         return [()], None
     view = f"{config.terrain} {config.rays}"

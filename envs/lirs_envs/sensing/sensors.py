@@ -222,7 +222,7 @@ def read_noise(path: Path) -> SensorNoise:
 
 
 def write_noise(path: Path, noise: SensorNoise, comment: str) -> None:
-    """Write the noise, and faults if any, as a YAML file that begins with a comment."""
+    """Write the noise, and faults if any, as YAML after a comment."""
     if not isinstance(noise.lidar, LidarNoise):
         raise ConfigError(f"a noise file needs the lidar's own figures, got level {noise.lidar!r}")
     written = [name for name in SECTIONS if name != "faults" or noise.faults.any]
