@@ -1,4 +1,4 @@
-"""Forecast: probability that a drive works, before any drive, and changes that promise more."""
+"""Forecast: probability that a drive works, before any drive, and changes that may help."""
 
 from __future__ import annotations
 
@@ -272,7 +272,7 @@ def forecast(features: SiteFeatures, config: RunConfig) -> float | None:
 
 
 def changes(site: DriveSite, *, short: bool) -> dict[str, RunConfig]:
-    """Return labels and configs of changes that promise more, the most promising first.
+    """Return labels and configs of changes that may help, the most promising first.
 
     After drives that are too `short`, only longer ones do.
     """

@@ -96,7 +96,7 @@ def _next_text(answer: Answer) -> str:
     if best is not None:
         return f"Nothing tried is better: {', '.join(change.label for change in answer.changes)}."
     decided = answer.trial.decision == "does not work"
-    return "No other method, lidar or drive promises more." if decided else ""
+    return "There is no other method, lidar or drive to try." if decided else ""
 
 
 def _share_text(test: SequentialTest) -> str:

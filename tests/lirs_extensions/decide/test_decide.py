@@ -184,7 +184,7 @@ def test_without_any_wall_in_sight_nothing_is_driven(
     assert conclusion(planar) == (
         "hector on husky does not work on simple: 100 % of the scans along its tours "
         "meet no wall within 20 m. "
-        "No other method, lidar or drive promises more."
+        "There is no other method, lidar or drive to try."
     )
     assert cloud.trial.drives
 
