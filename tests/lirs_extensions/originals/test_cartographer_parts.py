@@ -223,8 +223,9 @@ def test_the_loop_search_finds_the_best_of_all_poses() -> None:
     )
     found = LoopSearcher(grid, config).search(points, expected)
     assert found is not None
-    assert found.score == pytest.approx(best, abs=0.004)
-    assert found.pose.distance(Pose2()) < grid.resolution
+    pose, score = found
+    assert score == pytest.approx(best, abs=0.004)
+    assert pose.distance(Pose2()) < grid.resolution
     assert LoopSearcher(grid, CartographerOriginalConfig()).search(points + 50, expected) is None
 
 
