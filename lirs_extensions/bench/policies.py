@@ -166,7 +166,7 @@ class OnTrueMap(DrivenPolicy):
             route = WaypointRoute((goal,), self._free(start, view.goal), pace, surface)
             return PathDriver(route, start, pace)
         free = self._free(start, None)
-        return PathDriver(UnseenRoute(free, start, self._unseen(), pace, surface), start, pace)
+        return PathDriver(UnseenRoute(free, start, self._unseen, pace, surface), start, pace)
 
     def _free(self, start: Pose2, goal: tuple[float, float] | None) -> OccupancyGrid:
         """Return the free grid of the largest margin that connects start and goal."""
@@ -181,18 +181,13 @@ class OnTrueMap(DrivenPolicy):
                 break
         return free
 
-    def _unseen(self) -> Callable[[], FloatArray]:
-        """Return a function that gives the (n, 2) centers of reachable unseen cells."""
-        stage = self._env.episodes.stage
-        frame, wanted = self._env.episodes.task.ground(0)
-
-        def unseen() -> FloatArray:
-            assert stage.seen is not None, "the mapping task has it"
-            cells = np.argwhere(wanted & ~stage.seen.seen(0))
-            middles: FloatArray = np.array(frame.corner) + (cells[:, ::-1] + 0.5) * SEEN_CELL
-            return middles
-
-        return unseen
+    def _unseen(self) -> FloatArray:
+        """Return the (n, 2) centers of reachable unseen cells."""
+        seen, (frame, wanted) = self._env.episodes.stage.seen, self._env.episodes.task.ground(0)
+        assert seen is not None, "the mapping task has it"
+        cells = np.argwhere(wanted & ~seen.seen(0))
+        middles: FloatArray = np.array(frame.corner) + (cells[:, ::-1] + 0.5) * SEEN_CELL
+        return middles
 
 
 class UnseenRoute:
@@ -260,7 +255,7 @@ class Baseline(NamedTuple):
     """
 
     make: Callable[[RobotEnv, PolicyContext], Policy]
-    tasks: tuple[str, ...] = TASKS
+    tasks: tuple[str, ...] = tuple(TASKS)
     observe: tuple[str, ...] | None = None
 
 

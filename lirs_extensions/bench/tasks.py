@@ -9,8 +9,7 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from functools import cache, lru_cache
-from importlib import resources
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +23,18 @@ from lirs_envs.generators.terrain import KINDS, generate
 from lirs_envs.robots.robot import make_robot
 from lirs_wct import BuildOptions, FloatArray, HeightField, World, build_world
 from lirs_wct.errors import (
+    Check,
+    Checked,
     ConfigError,
     SourceError,
     WctError,
+    check_field,
     check_seed,
+    limited,
+    one_of,
     reason_of,
-    require_within,
     unknown_name,
+    within,
 )
 from lirs_wct.files import digest
 from lirs_wct.ground import Terrain
@@ -42,13 +46,7 @@ CELL = EDGE / (NODES - 1)
 
 @dataclass(frozen=True, kw_only=True)
 class FileSpec:
-    """A file that is not part of this package.
-
-    Attributes:
-        sha256: digest of its content, hexadecimal.
-        size: bytes.
-        origin: repository and path of the file.
-    """
+    """A file that is not part of this package; its origin is a repository and a path there."""
 
     sha256: str
     size: int
@@ -60,7 +58,6 @@ class WorldSpec:
     """Recipe of a world.
 
     Attributes:
-        name: name in its set.
         maker: one of `MAKERS`, or `files`.
         files: external input files, the source first.
     """
@@ -72,18 +69,18 @@ class WorldSpec:
 
     def world(self, data: Path | None) -> World:
         """Make the world, of files in a folder where they do not ship."""
-        if not self.files:
-            return _make_world(self.name, self.maker, self.options)
-        return _from_files(tuple(self.places(data)), self.options)
+        return _make_world(self, tuple(self.places(data)))
 
     def places(self, data: Path | None) -> list[Path]:
         """Return the paths of its files."""
-        found = [_find(file, data) for file in self.files]
-        for file, path in zip(self.files, found, strict=True):
+        found = []
+        for file in self.files:
+            path = _find(file, data)
             if path is None:
                 where = "no --data folder is given" if data is None else f"{data} does not hold it"
                 raise SourceError(f"{self.name}: {where}: {file.origin} (sha256 {file.sha256[:12]}...)")
-        return [path for path in found if path is not None]
+            found.append(path)
+        return found
 
     def describe(self) -> dict[str, Any]:
         """Return the JSON value."""
@@ -96,8 +93,9 @@ def read_world(name: str, entry: Mapping[str, Any]) -> WorldSpec:
 
     Options of the maker `files` are those of `BuildOptions`.
     """
-    options = dict(entry)
-    maker, files = str(options.pop("maker")), options.pop("files", [])
+    given = dict(entry)
+    maker, files = str(given.pop("maker")), given.pop("files", [])
+    options: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
     if (maker == "files") != bool(files) or maker not in (*MAKERS, "files"):
         raise unknown_name("maker of a world", maker, (*MAKERS, "files with a list of files"))
     specs = tuple(FileSpec(**file) for file in files)
@@ -143,33 +141,27 @@ def _floor_plan(name: str, *, seed: int) -> World:
     return World(name, floor_plan(np.random.default_rng(seed)), scale="generated")
 
 
-def _arena(name: str, **parameters: Any) -> World:
-    return arena(name, ArenaConfig(**parameters))
-
-
 MAKERS: Mapping[str, Callable[..., World]] = {
     "bundled": _bundled_world,
     "natural": _natural,
     "boulders": _boulders,
     "course": _course,
     "floor plan": _floor_plan,
-    "arena": _arena,
+    "arena": lambda name, **parameters: arena(name, ArenaConfig(**parameters)),
 }
 """Makers of worlds without external files, by name."""
 
 
 @lru_cache(maxsize=4)
-def _make_world(name: str, maker: str, options: tuple[tuple[str, Any], ...]) -> World:
+def _make_world(spec: WorldSpec, places: tuple[Path, ...]) -> World:
+    """Make a world of its files' paths, if it has files."""
+    options = dict(spec.options)
+    if places:
+        return build_world(places[0], BuildOptions(**options))
     try:
-        return MAKERS[maker](name, **dict(options))
+        return MAKERS[spec.maker](spec.name, **options)
     except TypeError as error:
-        raise ConfigError(f"world {name!r}: {error}") from error
-
-
-@lru_cache(maxsize=4)
-def _from_files(places: tuple[Path, ...], options: tuple[tuple[str, Any], ...]) -> World:
-    given: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in options}
-    return build_world(places[0], BuildOptions(**given))
+        raise ConfigError(f"world {spec.name!r}: {error}") from error
 
 
 @lru_cache(maxsize=256)
@@ -184,8 +176,14 @@ def _find(file: FileSpec, data: Path | None) -> Path | None:
 
 
 SETS = ("indoor", "hills", "lirs", "generated")
+SHIPPED = Path(__file__).parent / "task_sets"
 SPLITS = ("train", "validation", "test")
-TASKS = ("navigation", "mapping", "traverse")
+TASKS: Mapping[str, tuple[str, ...]] = {
+    "navigation": ("world", "start", "goal"),
+    "mapping": ("world", "start", "path_budget"),
+    "traverse": ("course", "difficulty"),
+}
+"""Fields that a task needs, by its kind."""
 FARTHEST = 1e6
 """Largest coordinate of a start or goal, meters."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
@@ -193,8 +191,18 @@ SCHEMA = 1
 """Of a file with a set of tasks."""
 
 
+def _coordinates(size: int) -> Check:
+    """Return a check of a position's coordinates."""
+
+    def check(value: Any, label: str) -> None:
+        if not (len(value) == size and all(abs(v) <= FARTHEST for v in value)):
+            raise ConfigError(f"{label} must be {size} finite numbers up to {FARTHEST:g}, got {value}")
+
+    return check
+
+
 @dataclass(frozen=True, kw_only=True)
-class BenchTask:
+class BenchTask(Checked):
     """One episode that every policy runs.
 
     Attributes:
@@ -212,52 +220,30 @@ class BenchTask:
     """
 
     name: str
-    task: str
-    split: str
+    task: str = check_field(one_of(TASKS))
+    split: str = check_field(one_of(SPLITS))
     robot: str
-    seed: int
-    time_limit: float
+    seed: int = check_field(check_seed)
+    time_limit: float = check_field(within("(0, inf)", "s"))
     world: WorldSpec | None = None
-    start: tuple[float, float, float] | None = None
-    goal: tuple[float, float] | None = None
-    path_budget: float | None = None
-    course: str | None = None
-    difficulty: float | None = None
+    start: tuple[float, float, float] | None = check_field(_coordinates(3), default=None)
+    goal: tuple[float, float] | None = check_field(_coordinates(2), default=None)
+    path_budget: float | None = limited(None, "(0, inf)", "m")
+    course: str | None = check_field(one_of(KINDS), default=None)
+    difficulty: float | None = limited(None, "[0, 1]")
 
     def __post_init__(self) -> None:
         check_name(self.name, "task")
-        if self.task not in TASKS:
-            raise unknown_name("task", self.task, TASKS)
-        if self.split not in SPLITS:
-            raise unknown_name("split", self.split, SPLITS)
-        make_robot(self.robot)
-        check_seed(self.seed)
-        require_within(self, "(0, inf)", "time_limit", of=self.name, unit="s")
-        needs = {
-            "navigation": {"world", "start", "goal"},
-            "mapping": {"world", "start", "path_budget"},
-            "traverse": {"course", "difficulty"},
-        }[self.task]
+        try:
+            super().__post_init__()
+            make_robot(self.robot)
+        except ConfigError as error:
+            raise ConfigError(f"{self.name}: {error}") from error
+        needs = TASKS[self.task]
         for name in ("world", "start", "goal", "path_budget", "course", "difficulty"):
-            given = getattr(self, name) is not None
-            if given != (name in needs):
+            if (getattr(self, name) is not None) != (name in needs):
                 verb = "needs" if name in needs else "takes no"
                 raise ConfigError(f"{self.name}: a {self.task} task {verb} {name}")
-        self._check_numbers()
-
-    def _check_numbers(self) -> None:
-        for name, size in (("start", 3), ("goal", 2)):
-            value = getattr(self, name)
-            if value is not None and not (len(value) == size and all(abs(v) <= FARTHEST for v in value)):
-                raise ConfigError(
-                    f"{self.name}: {name} must be {size} finite numbers up to {FARTHEST:g}, got {value}"
-                )
-        if self.path_budget is not None:
-            require_within(self, "(0, inf)", "path_budget", of=self.name, unit="m")
-        if self.course is not None and self.course not in KINDS:
-            raise unknown_name("course", self.course, KINDS)
-        if self.difficulty is not None:
-            require_within(self, "[0, 1]", "difficulty", of=self.name)
 
     @property
     def place(self) -> str:
@@ -301,34 +287,23 @@ class TaskSet:
 def check_name(name: object, of: str) -> None:
     """Check a name that folder names contain."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
-        shown = f"{name[:50]!r} ..." if isinstance(name, str) and len(name) > 100 else repr(name)
-        raise ConfigError(f"the name of a {of} must be 1 to 100 letters, digits and _.-, got {shown}")
+        raise ConfigError(f"the name of a {of} must be 1 to 100 letters, digits and _.-, got {name!r:.60}")
 
 
 def task_set(name: str) -> TaskSet:
     """Return a set by its name, or of a JSON file."""
-    if name in SETS:
-        return _read_shipped_set(name)
-    if not name.endswith(".json"):
+    path = SHIPPED / f"{name}.json" if name in SETS else Path(name)
+    if path.suffix != ".json":
         raise unknown_name("set", name, [*SETS, "FILE.json"])
-    path = Path(name)
     try:
-        return read_task_set(json.loads(path.read_text(encoding="utf-8")), name)
-    except OSError as error:
-        raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
+        return read_task_set(json.loads(path.read_text(encoding="utf-8")))
     except WctError as error:
         raise SourceError(f"{path}: {error}") from error
-    except (ValueError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise SourceError(f"{path}: {reason_of(error)}") from error
 
 
-@cache
-def _read_shipped_set(name: str) -> TaskSet:
-    file = resources.files("lirs_extensions.bench") / "task_sets" / f"{name}.json"
-    return read_task_set(json.loads(file.read_text(encoding="utf-8")), name)
-
-
-def read_task_set(entry: Any, where: str) -> TaskSet:
+def read_task_set(entry: Any) -> TaskSet:
     """Return a set of its JSON value: `schema`, `name`, `version`, `worlds` by name, `tasks`."""
     try:
         if entry["schema"] != SCHEMA:
@@ -339,9 +314,8 @@ def read_task_set(entry: Any, where: str) -> TaskSet:
         found = TaskSet(name=str(entry["name"]), version=int(entry["version"]), tasks=tasks)
     except (KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"not a set of tasks, or damaged: {reason_of(error)}") from error
-    names = [task.name for task in tasks]
-    if len(set(names)) < len(names):
-        raise ConfigError(f"{where}: two tasks have one name")
+    if len({task.name for task in tasks}) < len(tasks):
+        raise ConfigError("two tasks have one name")
     return found
 
 

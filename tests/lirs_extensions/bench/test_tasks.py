@@ -63,7 +63,7 @@ def test_courses_of_two_splits_differ() -> None:
 @pytest.mark.parametrize("name", SETS)
 def test_a_set_survives_json(name: str) -> None:
     found = task_set(name)
-    assert read_task_set(json.loads(json.dumps(set_entry(found))), name) == found
+    assert read_task_set(json.loads(json.dumps(set_entry(found)))) == found
 
 
 def test_what_a_set_lacks_is_said() -> None:
@@ -81,7 +81,7 @@ def test_what_a_set_lacks_is_said() -> None:
         (changed(start=[0, 0]), "a: start must be 3 finite numbers"),
         (changed(robot="huksy"), "unknown robot 'huksy'"),
         (changed(world="attic"), "unknown world of a task 'attic'; legal: plan"),
-        (changed(time_limit=0), "time_limit of a must be"),
+        (changed(time_limit=0), "a: time_limit must be"),
         (changed(color="red"), "color"),
         (changed(name="../a"), "the name of a task must be 1 to 100 letters, digits and _.-, got '../a'"),
         (changed(name="a" * 101), "the name of a task must be 1 to 100 letters"),
@@ -144,6 +144,8 @@ def test_a_map_is_found_by_its_content(data: Path) -> None:
     files = (file_spec(data / "deep" / "renamed.yaml"), file_spec(data / "deep" / "plan.pgm"))
     world = WorldSpec(name="plan", maker="files", files=files).world(data)
     assert world.surface.size == pytest.approx((4.0, 3.0))
+    entry = {"maker": "files", "files": [vars(file) for file in files], "window": [1, 1, 2]}
+    assert read_world("plan", entry).world(data).surface.size == pytest.approx((2.0, 2.0), abs=0.06)
 
 
 def test_a_missing_file_is_named_by_origin_and_content(data: Path) -> None:
