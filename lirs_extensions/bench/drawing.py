@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.tasks.site import SEEN_CELL
@@ -20,7 +19,9 @@ from lirs_extensions.bench.policies import MARGINS
 from lirs_extensions.bench.tasks import BenchTask, TaskSet, WorldSpec
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import Scenario, build_scenario
-from lirs_wct import BuildOptions, ConfigError, FloatArray, IntArray, SimulationError, SourceError, World
+from lirs_wct import BuildOptions, ConfigError, FloatArray, SimulationError, SourceError, World
+from lirs_wct.option import changed
+from lirs_wct.progress import Progress, no_progress
 
 VERSION = 1
 """Version of the drawing in a user's worlds."""
@@ -40,13 +41,7 @@ NEAR_START = 0.4
 
 @dataclass(frozen=True, kw_only=True)
 class OwnWorld(WorldSpec):
-    """World of a user's source, known by the content of its files.
-
-    Attributes:
-        source: Path or bundled name.
-        build: Options of building it.
-        content: SHA-256 of each file of the source.
-    """
+    """World of a user's source, known by the SHA-256 of each of its files."""
 
     source: str
     build: BuildOptions
@@ -58,8 +53,7 @@ class OwnWorld(WorldSpec):
 
     def describe(self) -> dict[str, Any]:
         """Return what decides the world, as JSON."""
-        usual = vars(BuildOptions())
-        build = {name: str(value) for name, value in vars(self.build).items() if value != usual[name]}
+        build = {name: str(value) for name, value in changed(self.build).items()}
         return {"maker": self.maker, "name": self.name, "sha256": [*self.content], "build": build}
 
 
@@ -69,33 +63,23 @@ def _scenario(source: str, build: BuildOptions) -> Scenario:
 
 
 def find_worlds(sources: Sequence[str], build: BuildOptions) -> list[OwnWorld]:
-    """Build worlds of sources; of a terrain over 200 m, a window of 50 m."""
+    """Build worlds of sources, each with a name of its own; of a terrain over 200 m, a window of 50 m."""
     _scenario.cache_clear()  # files may have changed
-    worlds = []
+    worlds: dict[str, OwnWorld] = {}
     for source in sources:
         found = _scenario(source, build)
-        content = tuple(file["sha256"] for file in found.files)
-        name = found.world.name
-        worlds.append(OwnWorld(name=name, maker="source", source=source, build=build, content=content))
-    return worlds
+        content, name = tuple(file["sha256"] for file in found.files), found.world.name
+        if name in worlds:
+            raise SourceError(f"{source}: its world is named {name}, as that of {worlds[name].source}")
+        worlds[name] = OwnWorld(name=name, maker="source", source=source, build=build, content=content)
+    return [*worlds.values()]
 
 
 def draw_set(
-    worlds: Sequence[OwnWorld],
-    task: str,
-    robot: str,
-    count: int,
-    seed: int,
-    progress: Callable[[str, float], None] = lambda step, share: None,
+    worlds: Sequence[OwnWorld], task: str, robot: str, count: int, seed: int, progress: Progress = no_progress
 ) -> TaskSet:
     """Draw tasks in each world; the same seed draws the same tasks."""
     tasks: list[BenchTask] = []
-    sources: dict[str, str] = {}
-    for place in worlds:
-        if place.name in sources:
-            other = sources[place.name]
-            raise SourceError(f"{place.source}: its world is named {place.name}, as that of {other}")
-        sources[place.name] = place.source
     for place in worlds:
         try:
             drawing = TaskDrawing(place, place.world(None), task, robot)
@@ -135,11 +119,11 @@ class TaskDrawing:
         whole = np.count_nonzero(site.areas == site.largest) * site.grid.resolution**2
         for margin in margins:
             clearance = self._robot.radius + margin
-            self._grid = world.traversable(clearance=clearance, max_slope=self._robot.max_slope)
-            _, self._areas = cv2.connectedComponents(self._grid.free.astype(np.uint8), connectivity=4)
-            cells = np.bincount(self._areas.ravel())[1:]
-            if cells.max(initial=0) * self._grid.resolution**2 >= CONNECTED * whole:
+            grid = world.traversable(clearance=clearance, max_slope=self._robot.max_slope)
+            _, areas = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
+            if np.bincount(areas.ravel())[1:].max(initial=0) * grid.resolution**2 >= CONNECTED * whole:
                 break
+        self._roomy = replace(site, grid=grid, areas=areas)
 
     def draw(self, name: str, seed: int, k: int) -> BenchTask:
         """Draw task `k` as the environment draws episodes.
@@ -182,7 +166,7 @@ class TaskDrawing:
     ) -> dict[str, Any] | None:
         """Return goal and time limit; None = no room, or the goal is straight ahead."""
         goal = _rounded(info["goal"])
-        from_area, to_area = self._area((start[:2], goal))
+        from_area, to_area = self._roomy.area(*start[:2]), self._roomy.area(*goal)
         if not 0 < from_area == to_area or abs(observation["goal"][1]) < NEAR_START:
             return None
         return {"goal": goal, "time_limit": self._time_limit(20, 4 * info["shortest_path"])}
@@ -191,8 +175,8 @@ class TaskDrawing:
         """Return path budget and time limit; None = no room, or nothing stands straight ahead."""
         x, y, yaw = start
         ahead = np.arange(0.0, BLOCKED + 0.05, 0.1)[:, None] * (math.cos(yaw), math.sin(yaw))
-        areas = self._area(np.add(ahead, (x, y)))
-        if not areas[0] or areas.all():
+        areas = [self._roomy.area(*point) for point in np.add(ahead, (x, y)).tolist()]
+        if not areas[0] or all(areas):
             return None
         site = self._env.episodes.stage.site
         reachable = float(site.reachable(site.area(x, y)).sum()) * SEEN_CELL**2
@@ -202,12 +186,6 @@ class TaskDrawing:
     def _time_limit(self, seconds: int, meters: float) -> float:
         """Return seconds, and those in which the robot drives some meters."""
         return float(math.ceil(seconds + meters / min(PACE, 0.8 * self._robot.max_speed)))
-
-    def _area(self, points: ArrayLike) -> IntArray:
-        """Return (...) numbers of the areas at points (..., 2); 0 = not free."""
-        row, col = np.moveaxis(np.clip(self._grid.cells(points), 0, np.array(self._areas.shape) - 1), -1, 0)
-        found: IntArray = self._areas[row, col]
-        return found
 
 
 def _rounded(values: FloatArray) -> tuple[float, ...]:
