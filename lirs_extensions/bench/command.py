@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,36 +24,26 @@ POLICY_HELP = (
 )
 DRAWN = ("navigation", "mapping")
 """Tasks that are drawn; `traverse` has courses of its own."""
+OF_SET, OF_WORLD = {"set", "split", "data"}, {"robot", "tasks", "seed"}
+"""Options of tasks of a set, and of those that are drawn."""
 MAX_LISTED = 3
 """Episodes in which a policy failed that are named one by one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchCommand(Options):
-    """Policies and results of `bench`."""
+    """Policies, tasks and results of `bench`."""
 
     policies: tuple[str, ...] = argument(POLICY_HELP, "POLICIES...", default=())
     task: str = option("navigation", "Task.", metavar="navigation|mapping|traverse")
     parameters: str = option("", "Keywords for your own policy.", metavar="NAME=VALUE,...")
     pictures: bool = option(False, "Write a map with the path of each episode.")
     output: Path = option(Path("out"), "Folder for the episodes' folders and the scores.")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SetOptions(Options):
-    """Tasks of a set."""
-
     set: str = option("lirs", "Set of tasks.", metavar="indoor|hills|lirs|generated|FILE.json")
     split: str = option("test", "Which part of the set.", metavar="train|validation|test|all")
     data: Path | None = option(
         None, "Folder with the maps and pictures that do not ship; found by their content.", metavar="FOLDER"
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class WorldOptions(Options):
-    """Tasks that are drawn in a user's worlds."""
-
     world: tuple[str, ...] = option(
         (),
         f"Draw tasks in your own worlds: {SOURCE_HELP}",
@@ -67,13 +57,7 @@ class WorldOptions(Options):
 
 
 @common("world", "robot", "tasks", "seed", "task", "set", "split", "data", "output", "pictures", "jobs")
-def bench(
-    options: BenchCommand,
-    of_set: Annotated[dict[str, Any], SetOptions],
-    of_world: Annotated[dict[str, Any], WorldOptions],
-    engine: EngineOptions,
-    build: World,
-) -> None:
+def bench(given: Annotated[dict[str, Any], BenchCommand], engine: EngineOptions, build: World) -> None:
     """Score policies on tasks in your worlds or of a set.
 
     Earlier ones in the folder stand beside them. Differences are paired, from the first policy.
@@ -86,24 +70,23 @@ def bench(
     from lirs_extensions.bench import drawing, episode, policies, tasks as known_tasks
     from lirs_validation.sweep.sweep import Sweep
 
+    options = BenchCommand(**given)
     places: Sequence[WorldSpec] = ()
-    task, output, data = options.task, options.output, of_set.get("data")
-    names, worlds = _split_words(options.policies, of_world.get("world", ()), policies.BASELINES)
+    task, output, data = options.task, options.output, options.data
+    names, worlds = _split_words(options.policies, options.world, policies.BASELINES)
     if worlds:
         if task not in DRAWN:
             raise unknown_name("--task in worlds of your own", task, DRAWN)
-        _refuse(of_set, "for tasks of a set; --world draws its own")
-        given = WorldOptions(**of_world)
+        _refuse(given.keys() & OF_SET, "for tasks of a set; --world draws its own")
         sources, build = map_logs(worlds, build, output)
         with progress_bar("tasks") as progress:
             places = drawing.find_worlds(sources, build)
-            tasks = drawing.draw_set(places, task, given.robot, given.tasks, given.seed, progress)
+            tasks = drawing.draw_set(places, task, options.robot, options.tasks, options.seed, progress)
         chosen = [*tasks.tasks]
     else:
-        _refuse(of_world | changed(build), "for --world, which is not given")
-        part = SetOptions(**of_set)
-        tasks = known_tasks.task_set(part.set)
-        chosen = _with_sources(tasks.chosen(task, part.split), data)
+        _refuse(given.keys() & OF_WORLD | changed(build).keys(), "for --world, which is not given")
+        tasks = known_tasks.task_set(options.set)
+        chosen = _with_sources(tasks.chosen(task, options.split), data)
     choices = _read_policies(names or policies.DEFAULTS[task], options.parameters, chosen[0], data)
     episodes = [
         episode.EpisodeTask(
@@ -140,11 +123,11 @@ def _split_words(
     return policies, [*worlds, *others]
 
 
-def _refuse(given: Mapping[str, Any], reason: str) -> None:
+def _refuse(given: Collection[str], reason: str) -> None:
     """Raise ConfigError if there are given options."""
-    flags = [f"--{name.replace('_', '-')}" for name in given]
-    if flags:
-        raise ConfigError(f"{', '.join(flags)}: {reason}")
+    if given:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in sorted(given))
+        raise ConfigError(f"{flags}: {reason}")
 
 
 def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTask]:
@@ -198,35 +181,27 @@ def _show(
     worlds: Sequence[WorldSpec],
 ) -> None:
     """Print the scores of the policies and the table of all, and write them."""
-    from lirs_extensions.bench.results import (
-        answer_line,
-        bench_table,
-        difference_line,
-        read_results,
-        write_scores,
-    )
+    from lirs_extensions.bench import results as found
 
-    results = read_results(output, tasks, chosen)
+    results = found.read_results(output, tasks, chosen)
     if not results:
         return
     for result in results:
         if result.policy in policies:
-            failed = {name: entry for name, entry in result.episodes.items() if entry["status"] != "ok"}
-            for name, entry in list(failed.items())[:MAX_LISTED]:
-                note(f"{result.policy.label} failed on {name}: {entry['reason']}", style="red")
-            if len(failed) > MAX_LISTED:
-                note(f"... and on {len(failed) - MAX_LISTED} other tasks", style="red")
-    task = chosen[0].task
-    out.print(bench_table(results, task))
+            for name, reason in list(result.failed.items())[:MAX_LISTED]:
+                note(f"{result.policy.label} failed on {name}: {reason}", style="red")
+            if len(result.failed) > MAX_LISTED:
+                note(f"... and on {len(result.failed) - MAX_LISTED} other tasks", style="red")
+    out.print(found.bench_table(results, chosen[0].task))
     stem, about, places = _describe(tasks, chosen, worlds)
     path = output / f"scores-{stem}.json"
-    write_scores(path, results, about)
+    found.write_scores(path, results, about)
     say(path)
     own = [result for policy in policies for result in results if result.policy == policy]
     for other in own[1:]:
-        say(difference_line(other, own[0]))
+        say(found.difference_line(other, own[0]))
     for where, held in places.items():
-        say(answer_line(own, held, where))
+        say(found.answer_line(own, held, where))
 
 
 def _describe(

@@ -41,34 +41,34 @@ class EpisodeLog:
 
     Attributes:
         poses: true x, y, yaw, meters and radians, beginning with the start.
+        driven: meters of path until each pose.
         first: info of the environment after the reset.
-        last: latest info of the environment.
         coverage: share of the reachable ground seen, one per pose; empty except in mapping tasks.
         reason: reason for the end.
         trace: traceback of the policy's failure; empty without a failure.
+        picture: map with the path, (rows, cols, 3); None = not wanted.
     """
 
     poses: list[FloatArray] = field(default_factory=list)
+    driven: list[float] = field(default_factory=lambda: [0.0])
     first: Mapping[str, Any] = field(default_factory=dict)
     last: Mapping[str, Any] = field(default_factory=dict)
     coverage: list[float] = field(default_factory=list)
     reason: str = ""
     trace: str = ""
+    picture: Any = None
 
     def add(self, info: Mapping[str, Any]) -> None:
         """Add the environment's info after the reset or a step."""
         self.first = self.first or info
         self.last = info
-        self.poses.append(np.array(info["T_world_base"]))
+        pose = np.array(info["T_world_base"])
+        if self.poses:
+            step = np.hypot(*(pose - self.poses[-1])[:2])
+            self.driven.append(self.driven[-1] + float(step))
+        self.poses.append(pose)
         if "coverage" in info:
             self.coverage.append(float(info["coverage"]))
-
-    @property
-    def driven(self) -> FloatArray:
-        """(n,) meters of path until each pose."""
-        steps = np.diff(np.array(self.poses)[:, :2], axis=0)
-        driven: FloatArray = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
-        return driven
 
 
 class PolicyError(Exception):
@@ -99,12 +99,9 @@ def run_episode(
     data: Path | None = None,
     *,
     progress: Progress = no_progress,
-    picture: Callable[[Any], None] | None = None,
+    picture: bool = False,
 ) -> EpisodeLog:
-    """Run a policy on a task. A policy's error ends the episode and is logged.
-
-    At the end, `picture` receives the map with the path.
-    """
+    """Run a policy on a task. A policy's error ends the episode and is logged."""
     env = make_task_env(task, data, choice.observe, "map" if picture else None)
     log = EpisodeLog()
     try:
@@ -116,7 +113,7 @@ def run_episode(
             log.reason = str(error)
             log.trace = "".join(traceback.format_exception(error.__cause__ or error))
         if picture:
-            picture(env.render())
+            log.picture = env.render()
     finally:
         env.close()
     return log
@@ -132,19 +129,16 @@ def _drive(
 ) -> None:
     policy = _call_policy(lambda: choice.make(env, task), "cannot be made")
     _call_policy(lambda: policy.reset(dict(log.first)), "reset(info)")
-    driven, steps = 0.0, 0
     budget = math.inf if task.path_budget is None else task.path_budget
     while not log.reason:
         action = _action(env, policy, observation)
         observation, _, terminated, truncated, info = env.step(action)
         log.add(info)
-        driven += float(np.hypot(*(log.poses[-1] - log.poses[-2])[:2]))
         if terminated or truncated:
             log.reason = str(info["reason"])
-        elif driven >= budget:
+        elif log.driven[-1] >= budget:
             log.reason = SPENT
-        steps += 1
-        if steps % REPORTED == 0:
+        if (len(log.poses) - 1) % REPORTED == 0:
             progress("drive", min(1.0, float(info["time"]) / task.time_limit))
             if env.render_mode is not None:
                 env.render()
@@ -180,22 +174,22 @@ def _action(env: RobotEnv, policy: Policy, observation: Observed) -> Float32Arra
 
 def episode_metrics(task: BenchTask, log: EpisodeLog) -> dict[str, Any]:
     """Return score, success and their inputs; a failed policy scores 0."""
-    driven, last = log.driven, log.last
+    driven, last = log.driven[-1], log.last
     entry: dict[str, Any] = {
         "score": 0.0,
         "success": bool(last.get("success", last.get("reason") == "covered")),
         "collision": bool(last.get("collision", False)),
-        "path_length": float(driven[-1]),
+        "path_length": driven,
         "time": float(last["time"]),
     }
     if task.task == "navigation":
         shortest = float(log.first["shortest_path"])
         entry["shortest_path"] = shortest
-        score = success_by_path_length(entry["success"], shortest, float(driven[-1]))
+        score = success_by_path_length(entry["success"], shortest, driven)
     elif task.task == "mapping":
         assert task.path_budget is not None, "checked with the task"
         entry |= {"first_coverage": log.coverage[0], "coverage": log.coverage[-1]}
-        score = coverage_area(driven.tolist(), log.coverage, task.path_budget)
+        score = coverage_area(log.driven, log.coverage, task.path_budget)
     else:
         whole = float(log.first["distance"])
         entry |= {"distance": whole, "progress": float(last["progress"])}
@@ -206,12 +200,8 @@ def episode_metrics(task: BenchTask, log: EpisodeLog) -> dict[str, Any]:
 def success_by_path_length(success: bool, shortest: float, driven: float) -> float:
     """Return an episode's term of success weighted by path length (SPL).
 
-    See Anderson et al., "On evaluation of embodied navigation agents" (2018).
-
-    Args:
-        success: whether the goal was reached.
-        shortest: length of the shortest path from start to goal over drivable ground, meters.
-        driven: length of the driven path, meters.
+    See Anderson et al., "On evaluation of embodied navigation agents" (2018). The shortest path leads over
+    drivable ground; lengths are in meters.
     """
     return shortest / max(shortest, driven) if success else 0.0
 
@@ -251,12 +241,7 @@ SPACING = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeTask(SweepTask):
-    """A policy on a task.
-
-    Attributes:
-        data: folder with the files that do not ship.
-        pictures: whether a picture of the map with the path is written.
-    """
+    """A policy on a task; the files that do not ship are in the folder `data`."""
 
     set_name: str
     set_version: int
@@ -282,14 +267,7 @@ class EpisodeTask(SweepTask):
     def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
         """Run the episode and write its record; a failed policy fails only this episode."""
         progress("build", 0.0)
-        pictures: list[Any] = []
-        log = run_episode(
-            self.task,
-            self.policy,
-            self.data,
-            progress=progress,
-            picture=pictures.append if self.pictures else None,
-        )
+        log = run_episode(self.task, self.policy, self.data, progress=progress, picture=self.pictures)
         outcome = Outcome(
             task=self.name,
             status="error" if log.trace else "ok",
@@ -298,8 +276,8 @@ class EpisodeTask(SweepTask):
             written=True,
         )
         with atomic_folder(out / self.name) as folder:
-            if pictures:
-                cv2.imwrite(str(folder / PICTURE), pictures[0][..., ::-1])
+            if log.picture is not None:
+                cv2.imwrite(str(folder / PICTURE), log.picture[..., ::-1])
             text = self._record(outcome, episode_metrics(self.task, log), _sample_series(log))
             (folder / RECORD).write_text(text, encoding="utf-8")
             if outcome.trace:
@@ -319,11 +297,6 @@ class EpisodeTask(SweepTask):
         drawn = not self.pictures or bool(entry.get("trace")) or (folder / PICTURE).is_file()
         return drawn and _is_episode(entry)
 
-    @property
-    def observe(self) -> tuple[str, ...]:
-        """Groups of observations that the policy is given."""
-        return self.policy.observe or ENVIRONMENT_TASKS[self.task.task].observe
-
     def describe(self) -> dict[str, Any]:
         """Return name, task and policy."""
         return {"name": self.name} | self._identity()
@@ -339,8 +312,9 @@ class EpisodeTask(SweepTask):
 
     def _record(self, outcome: Outcome, metrics: dict[str, Any], series: dict[str, Any]) -> str:
         entry = {"schema": SCHEMA} | self._identity()
-        groups = [GROUPS[name] for name in self.observe if name in GROUPS]
-        entry |= {"observe": self.observe, "privileged": any(group.privileged for group in groups)}
+        observe = self.policy.observe or ENVIRONMENT_TASKS[self.task.task].observe
+        privileged = any(GROUPS[name].privileged for name in observe if name in GROUPS)
+        entry |= {"observe": observe, "privileged": privileged}
         entry |= {"status": outcome.status, "reason": outcome.reason}
         entry |= {"metrics": metrics, "trace": outcome.trace, "versions": versions()} | series
         return json.dumps(entry, indent=1, default=plain) + "\n"
@@ -358,8 +332,7 @@ def _sample_series(log: EpisodeLog) -> dict[str, Any]:
     kept = sorted({*range(0, len(log.poses), step), len(log.poses) - 1})
     series: dict[str, Any] = {"path": [[round(float(v), 3) for v in log.poses[k]] for k in kept]}
     if log.coverage:
-        driven = log.driven
-        series["coverage"] = [[round(float(driven[k]), 2), round(log.coverage[k], 4)] for k in kept]
+        series["coverage"] = [[round(log.driven[k], 2), round(log.coverage[k], 4)] for k in kept]
     return series
 
 

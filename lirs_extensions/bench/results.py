@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +30,7 @@ SEED = 1
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyScore:
-    """A mean over tasks.
-
-    Attributes:
-        low: lower end of its 95 % interval, by the percentile bootstrap over tasks; None of one task.
-        high: upper end.
-    """
+    """A mean over tasks, with its 95 % interval by the percentile bootstrap; None of one task."""
 
     mean: float
     low: float | None
@@ -42,10 +38,8 @@ class PolicyScore:
     count: int
 
 
-def score_of(values: Sequence[float]) -> PolicyScore | None:
-    """Return the mean of tasks' scores with its interval; None of no score."""
-    if not values:
-        return None
+def score_of(values: Sequence[float]) -> PolicyScore:
+    """Return the mean of tasks' scores with its interval."""
     scores, mean = np.array(values, dtype=np.float64), float(np.mean(values))
     if len(scores) == 1:
         return PolicyScore(mean=mean, low=None, high=None, count=1)
@@ -64,21 +58,25 @@ def score_of(values: Sequence[float]) -> PolicyScore | None:
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyResult:
-    """A policy over the chosen tasks.
-
-    Attributes:
-        score: score over its tasks.
-        episodes: records by the task's name.
-    """
+    """A policy over the chosen tasks; its episodes are records by the task's name."""
 
     policy: PolicyChoice
-    score: PolicyScore
     episodes: dict[str, dict[str, Any]]
 
+    @cached_property
+    def scores(self) -> dict[str, float]:
+        """Score of each task."""
+        return {name: float(entry["metrics"]["score"]) for name, entry in self.episodes.items()}
+
+    @cached_property
+    def score(self) -> PolicyScore:
+        """Score over all tasks."""
+        return score_of(list(self.scores.values()))
+
     @property
-    def failed(self) -> int:
-        """Number of episodes in which the policy failed or that could not run."""
-        return sum(entry["status"] != "ok" for entry in self.episodes.values())
+    def failed(self) -> dict[str, str]:
+        """Reason of each episode in which the policy failed or that could not run."""
+        return {name: e["reason"] for name, e in self.episodes.items() if e["status"] != "ok"}
 
     @property
     def privileged(self) -> bool:
@@ -95,9 +93,8 @@ def share_of_bound(result: PolicyResult, results: Sequence[PolicyResult]) -> flo
     bound = next((each for each in results if each.policy.name == UPPER_BOUND), None)
     if bound is None:
         return None
-    common = result.episodes.keys() & bound.episodes.keys()
-    best = sum(bound.episodes[name]["metrics"]["score"] for name in common)
-    own = sum(result.episodes[name]["metrics"]["score"] for name in common)
+    common = sorted(result.episodes.keys() & bound.episodes.keys())
+    own, best = (sum(each.scores[name] for name in common) for each in (result, bound))
     return own / best if best > 0 else None
 
 
@@ -118,11 +115,7 @@ def read_results(out: Path, tasks: TaskSet, chosen: Sequence[BenchTask]) -> list
         if same_set and same_code(entry["versions"]) and described.get(name) == entry["task"]:
             policy = PolicyChoice(entry["policy"], tuple(sorted(entry["arguments"].items())))
             found.setdefault(policy, {})[name] = entry
-    results = []
-    for policy, episodes in found.items():
-        score = score_of([float(entry["metrics"]["score"]) for entry in episodes.values()])
-        assert score is not None, "there is an episode"
-        results.append(PolicyResult(policy=policy, score=score, episodes=episodes))
+    results = [PolicyResult(policy=policy, episodes=episodes) for policy, episodes in found.items()]
     return sorted(results, key=lambda result: -result.score.mean)
 
 
@@ -158,11 +151,10 @@ def difference_line(result: PolicyResult, other: PolicyResult) -> str:
     The interval is the paired bootstrap: it resamples the tasks' differences.
     """
     common = sorted(result.episodes.keys() & other.episodes.keys())
-    pairs = [(result.episodes[name], other.episodes[name]) for name in common]
-    found = score_of([a["metrics"]["score"] - b["metrics"]["score"] for a, b in pairs])
     names = f"{result.policy.label} - {other.policy.label}"
-    if found is None:
+    if not common:
         return f"{names}: no common tasks"
+    found = score_of([result.scores[name] - other.scores[name] for name in common])
     return f"{names}: {found.mean:+.3f} [{interval(found)}], paired over {found.count} tasks"
 
 
@@ -173,7 +165,20 @@ def interval(score: PolicyScore) -> str:
 
 def bench_table(results: Sequence[PolicyResult], task: str) -> ReportTable:
     """Return the table of policies, the best first."""
-    rows = tuple(_row(result, results) for result in results)
+    shares = (share_of_bound(result, results) for result in results)
+    rows = tuple(
+        (
+            result.policy.label + ("*" if result.privileged else ""),
+            f"{result.score.mean:.3f}",
+            interval(result.score),
+            f"{result.share('success'):.2f}",
+            f"{result.share('collision'):.2f}",
+            str(len(result.failed)),
+            NOTHING if share is None else f"{share:.2f}",
+            str(result.score.count),
+        )
+        for result, share in zip(results, shares, strict=True)
+    )
     caption = (
         f"Score: {MEASURES[task]}, mean over tasks; 95 % by bootstrap over tasks. "
         "of astar: share of the upper bound's score on the same tasks."
@@ -185,27 +190,14 @@ def bench_table(results: Sequence[PolicyResult], task: str) -> ReportTable:
     return ReportTable("bench", "", caption, HEADINGS, rows)
 
 
-def _row(result: PolicyResult, results: Sequence[PolicyResult]) -> tuple[str, ...]:
-    share = share_of_bound(result, results)
-    return (
-        result.policy.label + ("*" if result.privileged else ""),
-        f"{result.score.mean:.3f}",
-        interval(result.score),
-        *(f"{result.share(name):.2f}" for name in ("success", "collision")),
-        str(result.failed),
-        NOTHING if share is None else f"{share:.2f}",
-        str(result.score.count),
-    )
-
-
 def write_scores(path: Path, results: Sequence[PolicyResult], about: dict[str, object]) -> None:
     """Write the table as JSON, each policy with its tasks' scores."""
     policies = [
         {"policy": result.policy.name, "arguments": dict(result.policy.arguments)}
         | {"score": vars(result.score)}
         | {name: result.share(name) for name in ("success", "collision")}
-        | {"failed": result.failed, "of_astar": share_of_bound(result, results)}
-        | {"tasks": {name: entry["metrics"]["score"] for name, entry in sorted(result.episodes.items())}}
+        | {"failed": len(result.failed), "of_astar": share_of_bound(result, results)}
+        | {"tasks": dict(sorted(result.scores.items()))}
         for result in results
     ]
     write_json(path, about | {"interval": "percentile bootstrap over tasks", "policies": policies})
