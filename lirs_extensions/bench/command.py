@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,7 +135,7 @@ def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTa
     """Return the tasks whose worlds can be made; print the errors of the others."""
     if data is not None and not data.is_dir():
         raise SourceError(f"{data}: no such folder")
-    missing: dict[str, str] = {}
+    missing = Counter[str]()
     found = []
     for task in tasks:
         try:
@@ -142,9 +143,8 @@ def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTa
                 task.world.places(data)
             found.append(task)
         except SourceError as error:
-            missing[str(error)] = task.place
-    for reason, place in missing.items():
-        count = sum(task.place == place for task in tasks)
+            missing[str(error)] += 1
+    for reason, count in missing.items():
         note(f"skipped {count} tasks in {reason}")
     if not found:
         raise SourceError(f"none of the {len(tasks)} tasks can be run: their worlds' files are missing")

@@ -15,12 +15,12 @@ import numpy as np
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.tasks.site import SEEN_CELL
+from lirs_extensions.bench.episode import reset_options
 from lirs_extensions.bench.policies import MARGINS
 from lirs_extensions.bench.tasks import BenchTask, TaskSet, WorldSpec
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import Scenario, build_scenario
 from lirs_wct import BuildOptions, ConfigError, FloatArray, SimulationError, SourceError, World
-from lirs_wct.option import changed
 from lirs_wct.progress import Progress, no_progress
 
 VERSION = 1
@@ -53,7 +53,8 @@ class OwnWorld(WorldSpec):
 
     def describe(self) -> dict[str, Any]:
         """Return what decides the world, as JSON."""
-        build = {name: str(value) for name, value in changed(self.build).items()}
+        usual = vars(BuildOptions())
+        build = {name: str(value) for name, value in vars(self.build).items() if value != usual[name]}
         return {"maker": self.maker, "name": self.name, "sha256": [*self.content], "build": build}
 
 
@@ -150,9 +151,8 @@ class TaskDrawing:
                 start=start,
                 **more,
             )
-            options = {"start": start} | ({"goal": more["goal"]} if "goal" in more else {})
             with suppress(SimulationError):  # start and goal were rounded
-                env.reset(seed=seed, options=options)
+                env.reset(seed=seed, options=reset_options(task))
                 return task
         ends = "start and goal" if self._task == "navigation" else "start with an obstacle ahead"
         wide, steep = 2 * self._robot.radius, math.degrees(self._robot.max_slope)

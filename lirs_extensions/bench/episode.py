@@ -7,6 +7,7 @@ import json
 import math
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
@@ -21,6 +22,7 @@ from lirs_envs.policies import Policy
 from lirs_envs.tasks.task import COVERED, TASKS as ENVIRONMENT_TASKS
 from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.tasks import BenchTask
+from lirs_validation.experiment.loading import own_source_file
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import is_interrupt
 from lirs_validation.record.run_record import plain, versions
@@ -102,9 +104,8 @@ def run_episode(
     picture: bool = False,
 ) -> EpisodeLog:
     """Run a policy on a task. A policy's error ends the episode and is logged."""
-    env = make_task_env(task, data, choice.observe, "map" if picture else None)
     log = EpisodeLog()
-    try:
+    with closing(make_task_env(task, data, choice.observe, "map" if picture else None)) as env:
         observation, info = env.reset(seed=task.seed, options=reset_options(task))
         log.add(info)
         try:
@@ -114,8 +115,6 @@ def run_episode(
             log.trace = "".join(traceback.format_exception(error.__cause__ or error))
         if picture:
             log.picture = env.render()
-    finally:
-        env.close()
     return log
 
 
@@ -256,7 +255,8 @@ class EpisodeTask(SweepTask):
         """Name of its folder."""
         text = json.dumps(self._identity(), sort_keys=True)
         digest = hashlib.sha256(text.encode()).hexdigest()[:8]
-        return f"{self.set_name}-{self.task.name}-{self.policy.short}-{digest}"
+        policy = self.policy.name.rpartition(":")[2].replace(".", "_")
+        return f"{self.set_name}-{self.task.name}-{policy}-{digest}"
 
     def check(self) -> None:
         """Check the policy and the files of the world."""
@@ -289,8 +289,9 @@ class EpisodeTask(SweepTask):
         return self._record(outcome, NO_METRICS, {})
 
     def inputs(self) -> list[Path | None]:
-        """Return the files of the policy."""
-        return [*self.policy.files]
+        """Return the files of the policy: its module, and files among its arguments."""
+        given = (Path(value) for _, value in self.policy.arguments)
+        return [own_source_file(self.policy.name), *filter(Path.is_file, given)]
 
     def is_result(self, folder: Path, entry: Mapping[str, Any]) -> bool:
         """Whether the picture is there, if one is wanted and the policy did not fail."""

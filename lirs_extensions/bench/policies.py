@@ -11,7 +11,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -28,7 +27,7 @@ from lirs_validation.driving.frontier_route import ExplorationMap, FrontierRoute
 from lirs_validation.driving.path_driver import DriverConfig, Frame, PathDriver
 from lirs_validation.driving.paths import Path as DrivenPath, Reach, penalize_behind, search
 from lirs_validation.driving.routes import FreeGround, WaypointRoute
-from lirs_validation.experiment.loading import check_members, make_own, own_class, own_source_file
+from lirs_validation.experiment.loading import check_members, make_own, own_class
 from lirs_wct import (
     BoolArray,
     ConfigError,
@@ -161,11 +160,9 @@ class OnTrueMap(DrivenPolicy):
         """Return a driver to the goal, or to unseen ground."""
         view, pace = self._env.view, driver_config(self.context.robot)
         start, surface = view.T_world_base.to_pose2(), view.world.surface
+        free = self._free(start, view.goal)
         if view.goal is not None:
-            goal = RoutePoint(*view.goal)
-            route = WaypointRoute((goal,), self._free(start, view.goal), pace, surface)
-            return PathDriver(route, start, pace)
-        free = self._free(start, None)
+            return PathDriver(WaypointRoute((RoutePoint(*view.goal),), free, pace, surface), start, pace)
         return PathDriver(UnseenRoute(free, start, self._unseen, pace, surface), start, pace)
 
     def _free(self, start: Pose2, goal: tuple[float, float] | None) -> OccupancyGrid:
@@ -246,13 +243,7 @@ def _around(unseen: BoolArray, resolution: float) -> FloatArray:
 
 
 class Baseline(NamedTuple):
-    """A policy of this package.
-
-    Attributes:
-        make: Function of environment and context that returns the policy.
-        tasks: Tasks that the policy can run.
-        observe: Groups of observations that the policy gets; None = the task's own.
-    """
+    """A policy of this package; where `observe` is None, it gets the task's own observations."""
 
     make: Callable[[RobotEnv, PolicyContext], Policy]
     tasks: tuple[str, ...] = tuple(TASKS)
@@ -280,12 +271,7 @@ DEFAULTS: Mapping[str, Sequence[str]] = {
 
 @dataclass(frozen=True)
 class PolicyChoice:
-    """A policy as a user names it.
-
-    Attributes:
-        name: Key of `BASELINES`, or `module:name`.
-        arguments: keywords for a policy of the user's own, as text.
-    """
+    """A policy as a user names it: a key of `BASELINES`, or `module:name` with keywords as text."""
 
     name: str
     arguments: tuple[tuple[str, str], ...] = ()
@@ -295,18 +281,6 @@ class PolicyChoice:
         """The name and the arguments, as tables show them."""
         given = ",".join(f"{key}={value}" for key, value in self.arguments)
         return f"{self.name}({given})" if given else self.name
-
-    @property
-    def short(self) -> str:
-        """The name without its module, fit for a folder's name."""
-        return self.name.rpartition(":")[2].replace(".", "_")
-
-    @property
-    def files(self) -> list[Path]:
-        """Known files that the policy depends on: its module and files among its arguments."""
-        source = own_source_file(self.name)
-        given = [Path(value) for _, value in self.arguments if Path(value).is_file()]
-        return [*([source] if source else []), *given]
 
     @property
     def observe(self) -> tuple[str, ...] | None:

@@ -105,21 +105,17 @@ def read_world(name: str, entry: Mapping[str, Any]) -> WorldSpec:
 
 
 def _bundled_world(name: str, *, source: str) -> World:
-    if source not in RECIPES:
-        raise unknown_name("bundled world", source, RECIPES)
+    one_of(RECIPES)(source, "bundled world")
     return cached_world(source)
 
 
 def _natural(name: str, *, kind: str, seed: int) -> World:
-    if kind not in NATURAL_TERRAINS:
-        raise unknown_name("natural terrain", kind, NATURAL_TERRAINS)
-    check_seed(seed)
+    one_of(NATURAL_TERRAINS)(kind, "natural terrain")
     return _terrain(name, NATURAL_TERRAINS[kind](np.random.default_rng(seed)))
 
 
 def _boulders(name: str, *, seed: int) -> World:
     """Return rolling ground with many boulders, which block the view."""
-    check_seed(seed)
     rng = np.random.default_rng(seed)
     return _terrain(name, with_rocks(rng, 3 * fractal(rng), 160, radius=(0.5, 1.2), height=(1.0, 2.0)))
 
@@ -130,14 +126,11 @@ def _terrain(name: str, heights: FloatArray) -> World:
 
 
 def _course(name: str, *, kind: str, difficulty: float, seed: int) -> World:
-    if kind not in KINDS:
-        raise unknown_name("course", kind, KINDS)
-    check_seed(seed)
+    one_of(KINDS)(kind, "course")
     return generate(kind, difficulty, np.random.default_rng(seed)).world()
 
 
 def _floor_plan(name: str, *, seed: int) -> World:
-    check_seed(seed)
     return World(name, floor_plan(np.random.default_rng(seed)), scale="generated")
 
 
@@ -156,6 +149,7 @@ MAKERS: Mapping[str, Callable[..., World]] = {
 def _make_world(spec: WorldSpec, places: tuple[Path, ...]) -> World:
     """Make a world of its files' paths, if it has files."""
     options = dict(spec.options)
+    check_seed(options.get("seed", 0))
     if places:
         return build_world(places[0], BuildOptions(**options))
     try:
@@ -245,11 +239,6 @@ class BenchTask(Checked):
                 verb = "needs" if name in needs else "takes no"
                 raise ConfigError(f"{self.name}: a {self.task} task {verb} {name}")
 
-    @property
-    def place(self) -> str:
-        """Name of its world, or kind and difficulty of its course."""
-        return self.world.name if self.world is not None else f"{self.course} {self.difficulty:g}"
-
     def describe(self) -> dict[str, Any]:
         """Return everything that decides the episode, as JSON."""
         entry = {key: value for key, value in asdict(self).items() if value is not None and key != "world"}
@@ -270,10 +259,8 @@ class TaskSet:
 
     def chosen(self, task: str, split: str) -> tuple[BenchTask, ...]:
         """Return the tasks of one kind and split, `all` = of every split."""
-        if task not in TASKS:
-            raise unknown_name("task", task, TASKS)
-        if split not in (*SPLITS, "all"):
-            raise unknown_name("split", split, (*SPLITS, "all"))
+        one_of(TASKS)(task, "task")
+        one_of((*SPLITS, "all"))(split, "split")
         found = tuple(t for t in self.tasks if t.task == task and split in (t.split, "all"))
         if not found:
             held = sorted({t.task for t in self.tasks if split in (t.split, "all")})
@@ -325,8 +312,7 @@ def _read_task(entry: Mapping[str, Any], worlds: Mapping[str, WorldSpec]) -> Ben
         if values.get(name) is not None:
             values[name] = tuple(float(v) for v in values[name])
     if values.get("world") is not None:
-        if values["world"] not in worlds:
-            raise unknown_name("world of a task", str(values["world"]), worlds)
+        one_of(worlds)(values["world"], "world of a task")
         values["world"] = worlds[values["world"]]
     return BenchTask(**values)
 
