@@ -369,10 +369,7 @@ class Simulation:
         self.drive(ROW, np.array((twist,), np.float64))
         if self.errors[0]:
             raise SimulationError(self.errors[0])
-        x, y, _, _, qx, qy, _ = self.T_world_base[0].tolist()
-        west, south, east, north = self._bounds[0].tolist()
-        inside = west <= x <= east and south <= y <= north
-        self.mishap = "tipped" if 1 - 2 * (qx * qx + qy * qy) < TIPPED else "" if inside else "off world"
+        self.mishap = "tipped" if self.find_tipped()[0] else "off world" if self.off_world()[0] else ""
         observation = self.reading()
         self.timing.physics.append(group.physics_seconds)
         self.timing.sensors.append(time.perf_counter() - begun - group.physics_seconds)

@@ -158,7 +158,10 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
         return
     if kinds:
         steps.begin("triangles")
-    parts = _write_textures(world, folder) if set(kinds) - {"stl"} else []
+    parts: list[MeshPart] = []
+    for wear, mesh in world_parts(world, world.file_mesh) if set(kinds) - {"stl"} else ():
+        texture = f"../{wear.write(world, folder).as_posix()}"
+        parts.append(MeshPart(wear.name, mesh.rotated_x(options.rotate_x), texture))
     for kind in kinds:
         path = folder / "meshes" / f"{world.name}.{kind}"
         progress = steps.begin(path.name)
@@ -173,15 +176,6 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
             write_glb(path, [(p.name, p.mesh, i) for p, i in zip(parts, pictures, strict=True)])
         else:
             write_usd(path, world, parts)
-
-
-def _write_textures(world: World, folder: Path) -> list[MeshPart]:
-    """Write the textures and return the parts of the mesh files."""
-    parts = []
-    for wear, mesh in world_parts(world, world.file_mesh):
-        texture = f"../{wear.write(world, folder).as_posix()}"
-        parts.append(MeshPart(wear.name, mesh.rotated_x(world.export_options.rotate_x), texture))
-    return parts
 
 
 def _write_model(world: World, folder: Path, formats: Collection[str], terrain: GazeboTerrain) -> None:

@@ -75,7 +75,10 @@ def _build(source: str | Path, options: BuildOptions, *, with_starts: bool = Tru
         world = World(site.name, ground, scale=scale, source=site.identity, start=options.start, place=place)
         world = _with_spawn_poses(world) if with_starts else world
     warn_of_result(site, options, world)
-    _check_textures(options)
+    for path in filter(None, (options.texture, options.wall_texture)):
+        if path.suffix.lower() not in TEXTURES:
+            raise SourceError(f"{path}: a texture must be a PNG or JPEG picture ({', '.join(TEXTURES)})")
+        read_picture(path, options.max_pixels, alpha=True)
     return world.with_export(options)
 
 
@@ -88,14 +91,6 @@ READERS: dict[SourceKind, Callable[[Source, BuildOptions], Reading]] = {
     SourceKind.CLOUD: read_point_cloud,
 }
 """Readers of the sources that are files, and of bundled worlds."""
-
-
-def _check_textures(options: BuildOptions) -> None:
-    """Check that the given textures are PNG or JPEG pictures that can be read."""
-    for path in filter(None, (options.texture, options.wall_texture)):
-        if path.suffix.lower() not in TEXTURES:
-            raise SourceError(f"{path}: a texture must be a PNG or JPEG picture ({', '.join(TEXTURES)})")
-        read_picture(path, options.max_pixels, alpha=True)
 
 
 def _load_world(source: Source, options: BuildOptions) -> World:
