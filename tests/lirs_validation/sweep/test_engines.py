@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -152,10 +153,12 @@ class TooLate(KeyboardInterrupt):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("executor", [Serial(), Processes(jobs=1)])
+@pytest.mark.parametrize("make", [Serial, partial(Processes, jobs=1)])
 def test_a_task_that_its_watcher_stops_leaves_nothing_and_others_follow(
-    executor: Executor, tmp_path: Path
+    make: Callable[[], Executor], tmp_path: Path
 ) -> None:
+    executor = make()  # idle processes end with it
+
     def watch(name: str, step: str, share: float) -> None:
         if name == "hanging":
             raise TooLate
