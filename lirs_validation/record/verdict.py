@@ -307,9 +307,11 @@ def _up_to(residual: float, most: float) -> str:
 
 
 def class_counts(kinds: Iterable[str]) -> str:
-    """Return classes of verdicts with their numbers, the most frequent first."""
+    """Return classes of verdicts with their numbers, the most frequent first; the class of one."""
     counts = Counter(kinds)
-    return ", ".join(f"{kind} ({count} of {counts.total()})" for kind, count in counts.most_common())
+    if (total := counts.total()) == 1:
+        return next(iter(counts))
+    return ", ".join(f"{kind} ({count} of {total})" for kind, count in counts.most_common())
 
 
 def run_figures(entry: Entry) -> VerdictFigures:

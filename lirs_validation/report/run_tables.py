@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
@@ -63,7 +64,7 @@ SECTIONS: dict[Section, str] = {
 RUN_COLUMNS = {"world", "robot", "mapper"}
 """Fields with columns in the table of single runs, in addition to the seed."""
 MAX_NAMED = 12
-"""Largest number of groups that a caption names one by one."""
+"""Largest number of groups that a caption, or lines of verdicts, name one by one."""
 ERROR, ODOMETRY_ERROR = metrics_named((ATE, ODOMETRY_ATE))
 CAPTION = (
     "ATE [m], mean over the runs that finished, and verdicts of the runs (docs/results.md); those that were "
@@ -293,18 +294,23 @@ def results_table(entries: Sequence[Entry]) -> ReportTable:
 
 
 def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> list[str]:
-    """Return the verdicts by group: a sentence of one run, counts of more."""
+    """Return the verdicts by group, a sentence of one run, counts of more; or by mapper.
+
+    It is by mapper where there are more than `MAX_NAMED` groups.
+    """
     groups = by_group(entries)
     named = ("world", "robot", "mapper")  # a sentence names these three
     varied = tuple(name for name in _fields(groups) if name not in named)
-    lines = []
+    lines, kinds = [], defaultdict[str, list[str]](list)
     for group, runs in groups.items():
         verdicts = [stored_verdict(run, limits) for run in runs]
         fields = varied if len(runs) == 1 else (*named, *varied)
         label = f", {group.label(fields)}" if fields else ""
         text = class_counts(verdict.kind for verdict in verdicts) if len(runs) > 1 else str(verdicts[0])
         lines.append(f"verdict{label}: {text}")
-    return lines
+        kinds[group["mapper"]] += [verdict.kind for verdict in verdicts]
+    by_mapper = [f"verdict, {mapper}: {class_counts(found)}" for mapper, found in kinds.items()]
+    return lines if len(lines) <= MAX_NAMED else by_mapper
 
 
 def verdicts_by_method(entries: Sequence[Entry]) -> ReportTable:

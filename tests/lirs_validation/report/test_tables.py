@@ -186,6 +186,16 @@ def test_verdicts_are_counted_by_group_and_one_run_has_its_sentence() -> None:
     assert alone[1].startswith("verdict: gmapping on husky loses its way on simple.")
 
 
+def test_verdicts_of_many_groups_are_counted_by_mapper() -> None:
+    worlds = [f"world{i}" for i in range(7)]
+    runs = [entry(world, mapper=mapper) for world in worlds for mapper in ("hector", "gmapping")]
+    lost = entry("maze", mapper="gmapping", ate=0.9)
+    assert verdict_lines([*runs, lost]) == [
+        "verdict, hector: works (7 of 7)",
+        "verdict, gmapping: works (7 of 8), loses its way (1 of 8)",
+    ]
+
+
 STATED = {
     "driven [m]": r"(?: after|it drove) (\S+) m",
     "ATE [m]": r"path error is (\S+) m",
