@@ -111,6 +111,8 @@ class GroundFilterConfig(Checked):
         base_height: Height of base_link above the ground, meters.
         footprint: Radius of the ground that the robot stands on, meters.
         flat_tilt: Largest tilt on a floor, where every hit is a wall, radians.
+        flat_rise: Largest height gained on a floor at a larger tilt, meters; a robot that brakes leans, but
+            does not climb.
         wall_slope: Slope of the least steep walls on uneven ground, radians.
         match_margin: Angle by which walls for matching are steeper than the robot's largest tilt, radians.
         first_match_margin: Angle added to it at the start, when little ground is known, radians.
@@ -130,6 +132,7 @@ class GroundFilterConfig(Checked):
     base_height: float = 0.13
     footprint: float = 0.3
     flat_tilt: float = math.radians(0.6)
+    flat_rise: float = limited(0.001, "[0, inf]", "m")
     wall_slope: float = limited(math.radians(45.0), "(0, inf]")
     match_margin: float = math.radians(3.0)
     first_match_margin: float = math.radians(15.0)
@@ -151,7 +154,7 @@ class GroundFilter:
     def __init__(self, config: GroundFilterConfig | None = None) -> None:
         self.config = config or GroundFilterConfig()
         self.grid = GrowingGrid(self.config.ground_resolution, {"upper_bound": (np.float32, np.inf)})
-        self.height = self.distance_traveled = self.tilt = self.drift = 0.0
+        self.height = self.distance_traveled = self.tilt = self.drift = self._rise = 0.0
         self._slope: tuple[float, float] | None = None
         self._neighbors = neighbors_of(self.config.ground_resolution)
         self._take_over()
@@ -168,16 +171,21 @@ class GroundFilter:
         x, y = scan.ground_slope if self._slope is None else self._slope
         # Noise of single readings is no slope.
         self._slope = 0.8 * x + 0.2 * scan.ground_slope[0], 0.8 * y + 0.2 * scan.ground_slope[1]
-        self.tilt = max(self.tilt, math.atan(math.hypot(*self._slope)))
+        grade = math.hypot(*self._slope)
+        above = grade - math.tan(c.flat_tilt)
+        self._rise = self._rise + above * step if above > 0.0 else 0.0
+        climbs = self._rise > c.flat_rise or self.distance_traveled < STANDSTILL
+        tilt = math.atan(grade)
+        self.tilt = max(self.tilt, tilt if climbs or not self.flat else min(tilt, c.flat_tilt))
         if step > STANDSTILL:
-            tilting, grade = math.dist((x, y), self._slope), math.hypot(*self._slope)
+            tilting = math.dist((x, y), self._slope)
             slip = 0.0 if registered else min(1.0, (grade / math.tan(c.slip_slope)) ** 2)
             self.drift += (c.height_drift + grade * slip) * step
             self.drift += c.tilt_lever * max(0.0, tilting - 0.2 * c.attitude_error)
 
     @property
     def flat(self) -> bool:
-        """Whether the robot has never tilted more than on a floor."""
+        """Whether the robot has never driven on more than a floor's tilt."""
         return self.tilt <= self.config.flat_tilt
 
     @property

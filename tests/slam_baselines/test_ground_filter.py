@@ -48,6 +48,20 @@ def test_on_a_floor_every_hit_is_a_wall() -> None:
     assert ground_filter.wall_slope == ground_filter.match_wall_slope == 0
 
 
+def test_a_robot_that_leans_as_it_brakes_is_still_on_a_floor() -> None:
+    braking, climbing, standing = (GroundFilter() for _ in range(3))
+    for ground_filter in (braking, climbing):
+        ground_filter.move(Pose2(1.0), leaning(0.0))
+    for speed in (0.4, 0.3, 0.2, 0.1, 0.0, 0.0):
+        braking.move(Pose2(0.1 * speed), leaning(math.radians(1.0)))
+        climbing.move(Pose2(0.04), leaning(math.radians(3.0)))
+    standing.move(Pose2(), leaning(math.radians(1.0)))  # it starts on a slope
+    assert braking.flat
+    assert not climbing.flat
+    assert not standing.flat
+    assert math.isclose(climbing.tilt, math.radians(3.0 * (1 - 0.8**6)), rel_tol=1e-3)
+
+
 def test_steeper_ground_met_asks_for_steeper_proof_when_matching() -> None:
     gentle, steep = on_hills(0.03), on_hills(0.15)
     assert 0 < gentle.match_wall_slope < steep.match_wall_slope <= round(100 * math.tan(math.radians(41)))
