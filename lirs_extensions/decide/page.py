@@ -94,7 +94,10 @@ def _next_text(answer: Answer) -> str:
     if answer.continuation:
         return f"{answer.continuation}."
     if best is not None:
-        return f"Nothing tried is better: {', '.join(change.label for change in answer.changes)}."
+        judged = ", ".join(change.label for change in answer.changes if change.test.total)
+        unjudged = ", ".join(change.label for change in answer.changes if not change.test.total)
+        parts = (judged and f"Nothing tried is better: {judged}.", unjudged and f"Not evaluated: {unjudged}.")
+        return " ".join(filter(None, parts))
     decided = answer.trial.decision == "does not work"
     return "There is no other method, lidar or drive to try." if decided else ""
 

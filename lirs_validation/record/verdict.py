@@ -298,7 +298,7 @@ def conclude_log(entry: Entry) -> tuple[Conclusion, str]:
     if second.get("difference") is not None:
         clauses.append(f"the two paths differ by {second['difference']:.2f} m")
     if better:
-        clauses.append(f"{second['command']} gives the better path")
+        clauses.append(f"{second['command']} may give the better path")
     return conclusion, "; ".join(clauses)
 
 

@@ -260,6 +260,17 @@ def test_drives_that_are_too_short_are_no_fault_of_the_terrain() -> None:
     assert conclusion(Answer("simple", trial, (longer,))).endswith("--seconds 60` worked in 1 of 1 drives.")
 
 
+def test_a_change_that_was_not_evaluated_is_not_called_worse() -> None:
+    trial = Trial(CONFIG, drives("lll"))
+    short, worse = (
+        Change(CONFIG, drives(kinds), label=label, least=5)
+        for kinds, label in (("n", "60 s"), ("l", "kiss-icp"))
+    )
+    assert conclusion(Answer("simple", trial, (short,))).endswith(". Not evaluated: 60 s.")
+    both = conclusion(Answer("simple", trial, (short, worse)))
+    assert both.endswith("Nothing tried is better: kiss-icp. Not evaluated: 60 s.")
+
+
 def test_the_most_frequent_failure_is_named_with_its_cause() -> None:
     made = tuple(replace(drive, reason="no walls within 20 m") for drive in drives("nll"))
     text = "Most frequent failure: loses its way (2 of 2), as with seed 2: no walls within 20 m."
