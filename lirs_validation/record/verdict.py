@@ -307,7 +307,7 @@ def _up_to(residual: float, most: float) -> str:
 
 
 def class_counts(kinds: Iterable[str]) -> str:
-    """Return classes of verdicts with their numbers, the most frequent first; the class of one."""
+    """Return classes of verdicts with their numbers, if several, the most frequent first."""
     counts = Counter(kinds)
     if (total := counts.total()) == 1:
         return next(iter(counts))

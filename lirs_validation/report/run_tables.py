@@ -294,10 +294,7 @@ def results_table(entries: Sequence[Entry]) -> ReportTable:
 
 
 def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> list[str]:
-    """Return the verdicts by group, a sentence of one run, counts of more; or by mapper.
-
-    It is by mapper where there are more than `MAX_NAMED` groups.
-    """
+    """Return the verdicts by group, or by mapper of more than `MAX_NAMED` groups."""
     groups = by_group(entries)
     named = ("world", "robot", "mapper")  # a sentence names these three
     varied = tuple(name for name in _fields(groups) if name not in named)

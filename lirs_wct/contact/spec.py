@@ -90,7 +90,7 @@ def check_contact_geometry(geometry: str, world: World) -> None:
             f"{world.name}: a laser map's walls are convex boxes already; legal terrains: hfield, mesh"
         )
     if world.overhangs and geometry != "convex":
-        raise ConfigError(f"{world.name}: has overhangs, which terrain {geometry} cannot hold; take convex")
+        raise ConfigError(f"{world.name}: overhangs need the terrain convex (--terrain), got {geometry}")
     if geometry == "convex" and world.solid is None:
         raise ConfigError(f"{world.name}: terrain convex is for closed meshes; take hfield, mesh or prisms")
 
