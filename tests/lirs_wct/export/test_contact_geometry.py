@@ -226,7 +226,7 @@ def test_a_terrain_that_does_not_fit_is_refused(
     for world, terrain, says in (
         (hills, "voxels", "legal: convex, hfield, mesh, prisms"),
         (hills, "convex", "closed meshes"),
-        (arch, "hfield", "has overhangs"),
+        (arch, "hfield", "overhangs need"),
         (walls, "prisms", "convex boxes already"),
     ):
         with pytest.raises(ConfigError, match=says):
