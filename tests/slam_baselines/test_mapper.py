@@ -107,7 +107,7 @@ def test_a_wrong_parameter_is_named(mapper: str, options: dict[str, Any], messag
         make_mapper(mapper, **options)
 
 
-PACKAGES = ("slam_baselines", "lirs_extensions")
+PACKAGES = ("slam_baselines", "lirs_extensions.originals", "lirs_extensions.clouds")
 
 
 def subclasses(kind: type) -> Iterator[Any]:
