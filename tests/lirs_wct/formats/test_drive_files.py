@@ -83,11 +83,11 @@ def test_every_number_of_a_pose_has_its_place(tmp_path: Path) -> None:
     ("name", "data", "reason"),
     [
         ("imu.csv.gz", b"", "line 1: the header stamp,.* is needed"),
-        ("imu.csv.gz", gzip.compress(b"stamp\n1\n"), r"line 1: the header .* got \['stamp'\]"),
+        ("imu.csv.gz", gzip.compress(b"stamp\n1\n", mtime=0), r"line 1: the header .* got \['stamp'\]"),
         ("imu.csv.gz", f"{HEADER}\n1,2,3\n".encode(), "line 2: 9 finite numbers are needed, got '1,2,3'"),
         ("imu.csv.gz", f"{HEADER}\n1,2,3,4,5,6,7,8,inf\n".encode(), "line 2: 9 finite numbers"),
         ("imu.csv.gz", f"{HEADER}\n1,2,3,4,5,6,7,8,x\n".encode(), "line 2: 9 finite numbers"),
-        ("imu.csv.gz", gzip.compress(HEADER.encode() * 50)[:60], "the gzip stream is damaged or cut off"),
+        ("imu.csv.gz", gzip.compress(HEADER.encode() * 50, mtime=0)[:60], "damaged or cut off"),
         ("commands.csv", b"", "line 1: commands begin with '# start X Y YAW', got ''"),
         ("commands.csv", b"\xff\xfe", "no text"),
         ("commands.csv", b"time,v,omega\n0,0,0\n", "line 1: commands begin"),
@@ -105,8 +105,8 @@ def test_every_number_of_a_pose_has_its_place(tmp_path: Path) -> None:
         ("bad.tum", b"1 0 nan 0 0 0 0 1\n", "must be finite"),
         ("bad.tum", b"1 0 0 0 0 0 0 0\n", "no quaternion zero"),
         ("bad.tum", POSE + b"2 0 0 0 0 0 0 0\n", "no quaternion zero"),
-        ("bad.tum", gzip.compress(POSE * 99)[:-12], "the gzip stream is damaged or cut off"),
-        ("bad.tum", gzip.compress(POSE * 99)[:12] + b"????", "the gzip stream is damaged or cut off"),
+        ("bad.tum", gzip.compress(POSE * 99, mtime=0)[:-12], "the gzip stream is damaged or cut off"),
+        ("bad.tum", gzip.compress(POSE * 99, mtime=0)[:12] + b"????", "damaged or cut off"),
     ],
 )
 def test_a_damaged_file_is_refused_in_one_line(name: str, data: bytes, reason: str, tmp_path: Path) -> None:
