@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,6 +24,8 @@ JUMP, FAST, MAX_JUMP = 1.0, 10.0, 1000.0
 """Shortest jump of the odometry, meters, the speed over it, m/s, and a jump that leaves no map, meters."""
 FEW_RETURNS, SEEING = 10, 0.5
 """Returns of a scan that sees its surroundings, and share of such scans, at least."""
+FROZEN = 0.5
+"""Longest path on which a scan may stay the same to the last digit, meters."""
 WINDOW = 0.5
 """Time over which the motion is measured, seconds."""
 STANDING, STANDING_TURN, REST = 0.01, 0.01, 50
@@ -186,6 +189,21 @@ def _scan_faults(log: LaserLog) -> Iterator[Deviation]:
     if seeing < SEEING:
         share = f"{100 * (1 - seeing):.0f} %"
         yield Deviation(f"{share} of the scans have fewer than {FEW_RETURNS} returns", unfit=True)
+    frozen = _frozen_path(log)
+    if frozen > FROZEN:
+        yield Deviation(f"the scan stays the same over {frozen:.1f} m of odometry", unfit=True)
+
+
+def _frozen_path(log: LaserLog) -> float:
+    """Return the longest path on which scans with returns stay the same, meters."""
+    longest = path = 0.0
+    for (before, last), (scan, pose) in pairwise(zip(log.scans, log.odometry, strict=True)):
+        if last is None or pose is None:
+            continue
+        repeats = scan.hits.any() and np.array_equal(before.ranges, scan.ranges, equal_nan=True)
+        path = path + math.hypot(pose.x - last.x, pose.y - last.y) if repeats else 0.0
+        longest = max(longest, path)
+    return longest
 
 
 def _inertial_faults(log: LaserLog) -> Iterator[Deviation]:

@@ -22,13 +22,16 @@ from lirs_wct.geometry.scan import ImuReadings, LaserScan
 N, PERIOD = 60, 0.1
 
 
-def log(mount: Pose3 | None = None, returns: int = 31, jump: float = 0.0) -> LaserLog:
-    """A robot that stands for 3 s and drives with 0.5 m/s."""
+def log(mount: Pose3 | None = None, returns: int = 31, jump: float = 0.0, frozen: float = 0.0) -> LaserLog:
+    """A robot that stands for 3 s and drives with 0.5 m/s; its scan is frozen for the last seconds."""
     stamps = 100 + PERIOD * np.arange(N)
-    ranges = np.full(31, np.inf, np.float32)
-    ranges[:returns] = 3.0
-    scans = [LaserScan(ranges, -1.5, 0.1, 0.1, 10.0, t, mount or Pose3()) for t in stamps.tolist()]
     driven = 0.5 * np.maximum(0.0, stamps - 103) + jump * (stamps > 104)
+    ranges = np.full((N, 31), np.inf, np.float32)
+    ranges[:, :returns] = 3.0 - 0.1 * np.clip(stamps - 103, 0.0, 2.9 - frozen)[:, None]
+    scans = [
+        LaserScan(row, -1.5, 0.1, 0.1, 10.0, t, mount or Pose3())
+        for row, t in zip(ranges, stamps.tolist(), strict=True)
+    ]
     poses = [Pose2(x) for x in driven.tolist()]
     topics = (
         LogTopic("/scan", ("laser",), stamps, stamps + 0.01),
@@ -66,6 +69,9 @@ FAULTS: list[tuple[LaserLog, str, bool]] = [
     ),
     (log(Pose3.from_rpy(0, 0, 0, math.pi, 0, 0)), "", False),
     (log(returns=9), "100 % of the scans have fewer than 10 returns", True),
+    (log(frozen=1.5), "the scan stays the same over 0.8 m of odometry", True),
+    (log(frozen=0.9), "", False),
+    (log(returns=0, frozen=1.5), "100 % of the scans have fewer than 10 returns", True),
     (log(jump=1.6), "odometry jumps by up to 1.6 m (1 x)", True),
     (log(jump=0.6), "", False),
     (shifted(0, received=0.5), f"stamps of /scan are 0.49 s older than those of /odom{BY}", False),
