@@ -20,8 +20,8 @@ from lirs_wct.sources.source import BuildOptions, Reading, Source, local_origin
 
 NODES = 1025
 """Default number of nodes along the longer side."""
-MIN_SPACING = 0.02
-"""Smallest default node spacing, meters; finer detail does not affect a wheel."""
+MIN_SPACING, COARSE_SPACING = 0.02, 0.25
+"""Smallest default node spacing, meters: finer detail does not affect a wheel; one that misses walls."""
 UNITLESS = (".stl", ".obj", ".ply")
 """Files that do not state their unit; some name it in their first bytes, as those of this program do."""
 OPENING, OPENING_SHARE = 0.3, 0.25
@@ -109,7 +109,7 @@ def _warn_of_units(path: Path, mesh: TriangleMesh, options: BuildOptions) -> Non
     if (named[1] if named else is_large) and not (options.size or options.scale):
         warnings.warn(
             f"{path}: is {_size(*mesh.bounds)} m, as its unit counts as the meter; "
-            f"{'it names' if named else 'if it is'} the millimeter, give --scale 0.001",
+            f"{'it names' if named else 'if it is'} the millimeter, give --option scale=0.001",
             stacklevel=4,
         )
     area, along = mesh.face_areas, np.abs(mesh.face_normals[:, 1])
@@ -133,6 +133,12 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
         raise ConfigError(
             f"{path}: {cols}x{rows} nodes at {spacing:g} m, at most {options.max_pixels} are legal; "
             "give a coarser --resolution or a larger --option max-pixels=N"
+        )
+    if options.resolution is None and spacing > COARSE_SPACING:
+        warnings.warn(
+            f"{path}: drivable ground and walls are found at nodes {spacing:.2g} m apart; "
+            "--option resolution=METERS sets them closer",
+            stacklevel=4,
         )
     grid = (west, south, (east - west) / (cols - 1), (north - south) / (rows - 1))
     top = rasterize_heights(mesh, grid, (rows, cols))

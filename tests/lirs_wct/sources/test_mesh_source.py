@@ -273,7 +273,14 @@ def test_millimeters_are_suspected_in_any_file(tmp_path: Path) -> None:
         trimesh.creation.box(size).export(path)
         lines = built(path, resolution=size[0] / 64)[1]
         assert any("if it is the millimeter" in line for line in lines) == told, size
-    assert not any("give --scale" in line for line in built(path, scale=(0.001, 0.001, 0.001))[1])
+    assert not any("the millimeter" in line for line in built(path, scale=(0.001, 0.001, 0.001))[1])
+
+
+def test_nodes_far_apart_are_told(tmp_path: Path) -> None:
+    for side, options, told in ((300, {}, True), (200, {}, False), (300, {"resolution": 3.0}, False)):
+        trimesh.creation.box((side, side / 4, 20)).export(tmp_path / "site.stl")
+        lines = built(tmp_path / "site.stl", **options)[1]
+        assert any("found at nodes 0.29 m apart; --option resolution=" in line for line in lines) == told
 
 
 @pytest.mark.parametrize(
@@ -289,7 +296,7 @@ def test_millimeters_are_suspected_in_any_file(tmp_path: Path) -> None:
 def test_a_unit_in_the_first_line_counts(head: str, side: float, told: str, tmp_path: Path) -> None:
     box = trimesh.creation.box((side, side, side / 20))
     (tmp_path / "box.obj").write_text(f"# {head}\n{box.export(file_type='obj')}")
-    lines = [line for line in built(tmp_path / "box.obj")[1] if "--scale 0.001" in line]
+    lines = [line for line in built(tmp_path / "box.obj")[1] if "--option scale=0.001" in line]
     assert ["; " + told in line for line in lines] == [True] * bool(told)
 
 
@@ -320,7 +327,7 @@ def test_files_that_are_in_meters_are_not(name: str, tmp_path: Path) -> None:
     write_mesh(tmp_path / name, TriangleMesh(np.asarray(box.vertices), np.asarray(box.faces, np.int32)))
     if name == "small.stl":
         box.export(tmp_path / name)
-    world, told = built(tmp_path / name)
+    world, told = built(tmp_path / name, resolution=side / 512)
     assert (world.surface.size, told) == (pytest.approx((side, side)), [])
 
 
