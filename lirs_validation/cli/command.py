@@ -57,37 +57,6 @@ Row = tuple[str, str, str]
 ARGUMENTS, OPTIONS, RARE = "Arguments", "Options", "Rare options: --option NAME=VALUE"
 SHORT = {"output": "-o"}
 """Short flags, by name of the option."""
-OLD: Mapping[str, str] = {
-    "--against": "differences are from the first policy that the command names",
-    "--as": "is now --kind picture|map",
-    "--bag": "is now lirs-wct record",
-    "--cell-memory": "is gone: the limits of your system, such as `ulimit -v`, do it",
-    "--csv": "is now --tables FOLDER for `report`, -o FILE.csv for `compare`",
-    "--denoise-method": "is now --option denoise=median|bilateral",
-    "--engine": "is now --jobs N, or --address of a Ray cluster",
-    "--factor": "is gone: it is always 3",
-    "--help-all": "is gone here: --help shows all options of this command",
-    "--json": "is now -o FILE.json",
-    "--log-mapper": "is now lirs-wct map LOG --mapper NAME; the map's YAML is a source",
-    "--mapper": "is gone here: lirs-wct map LOG --mapper NAME maps a log; the map's YAML is a source",
-    "--map-height": "is gone: the map's height is that of the robots' lidars, 0.3 m",
-    "--markdown": "is now --tables FILE.md",
-    "--only-a": "is now A:FIELD=VALUE,... in place of the folder A",
-    "--only-b": "is now B:FIELD=VALUE,... in place of the folder B",
-    "--origin": "is gone: a map YAML beside the picture holds it",
-    "--particles": "is now --parameters particles=N",
-    "--pixel-size": "is now --resolution METERS",
-    "--policy-arg": "is now --parameters NAME=VALUE,...",
-    "--reference-topic": "is now --reference BAG:/TOPIC",
-    "--search": "is gone: CMA-ES searches (pip install '.[search]')",
-    "--seeds": "is now --seed N-M",
-    "--sensors-only": "is gone here: `record` and `export` have it",
-    "--storage": "is gone here: `record` and `export` have it",
-    "--task": "is gone here: policies are searched on navigation",
-    "--topic": "is now --trajectory BAG:/TOPIC",
-    "--within": "is now --limits FILE.yaml",
-}
-"""Messages about options of version 1.0.0 that a command has no longer."""
 
 
 def common(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -192,9 +161,7 @@ class Command(click.Command):
         """Return the message about a flag that the command does not have."""
         name = flag.removeprefix("--").replace("-", "_")
         if name in self.rare:
-            return f"{flag}: is now --option {flag[2:]}={self.rare[name].form}"
-        if flag in OLD:
-            return f"{flag}: {OLD[flag]}"
+            return f"{flag}: give --option {flag[2:]}={self.rare[name].form}"
         flags = [row.flag for row in (*self.own.values(), *self.rare.values()) if not row.positional]
         return f"{self.name} has no option {flag}{did_you_mean(flag, flags)}"
 
@@ -212,6 +179,8 @@ class Command(click.Command):
                 raise ConfigError(f"--option must be NAME=VALUE, got {text!r}")
             if name not in options:
                 raise unknown_name("--option", name, options)
+            if name in values:
+                raise ConfigError(f"--option {text}: {name} is given already")
             values[name] = options[name].read(value, f"--option {name}")
         arguments = {}
         for parameter, (kind, as_dict) in self.kinds.items():

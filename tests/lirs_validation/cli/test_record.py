@@ -55,7 +55,6 @@ def test_a_folder_of_something_else_is_not_replaced(wct: Any, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("validate", "simple", "--bag"), "--bag: is now lirs-wct record"),
         (("record", "simple", "--storage", "zip"), "--storage must be mcap or sqlite3, got 'zip'"),
         (("record",), "nothing to validate"),
     ],
