@@ -168,7 +168,8 @@ def _percent(share: float | None) -> str:
 
 def write_decision(out: Path, answers: Sequence[Answer], command: str, scenarios: ScenarioCache) -> Path:
     """Write `verdict.html`, `verdict.png` and `verdict.json`; return the page's path."""
-    picture = png(decision_figure(answers, out, scenarios))
+    figure = decision_figure(answers, out, scenarios)
+    picture, alt = png(figure), "Paths of the drives by verdict, and where they failed"
     sentences = [conclusion(answer) for answer in answers]
     entries = [
         {"world": answer.world, "sentence": sentence}
@@ -179,16 +180,15 @@ def write_decision(out: Path, answers: Sequence[Answer], command: str, scenarios
     write_json(out / "verdict.json", {"command": command, "answers": entries})
     with atomic_write(out / "verdict.png") as path:
         path.write_bytes(picture)
-    drawn = PageFigure(data_url(picture), "Paths of the drives by verdict, and where they failed")
+    drawn = PageFigure(data_url(picture), alt, width=f"{figure.bbox.width:g}px")
     sections = (
         PageSection("methods", "Decision", tables=(methods_table(answers),)),
         PageSection("map", "Where it worked and failed", figures=(drawn,)),
         PageSection("drives", "Drives", tables=(drives_table(answers),)),
         PageSection("command", "Command", commands=(command,)),
     )
-    html = page_html(
-        "Verdict: " + ", ".join(dict.fromkeys(answer.world for answer in answers)), sentences, sections
-    )
+    worlds = ", ".join(dict.fromkeys(answer.world for answer in answers))
+    html = page_html(f"Verdict: {worlds}", sentences, sections)
     page = out / "verdict.html"
     with atomic_write(page) as path:
         path.write_text(html, encoding="utf-8")
