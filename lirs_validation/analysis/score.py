@@ -117,16 +117,7 @@ def score(
             raise SourceError(f"{trajectory}: {error}") from error
         estimate = interpolate_poses(replace(read, stamps=read.stamps + offset), truth.stamps)
         _check_stamps(trajectory, estimate, truth)
-        if turned := turn_upright(estimate, truth):
-            estimate, axes = turned
-            if frame not in ("auto", "align"):
-                raise SourceError(
-                    f"{trajectory}: its axes are {axes}, those of the {frame} frame x ahead, z up: "
-                    "--frame align turns it and moves it to the best fit"
-                )
-            frame = "align"
-            warnings.warn(f"{trajectory}: its axes are {axes}: moved to the best fit", stacklevel=2)
-        frame = frame_of(trajectory, estimate, truth, frame)
+        estimate, frame = _in_frame(trajectory, estimate, truth, frame)
     if frame == "auto":
         frame = "map" if map_yaml is None else frame_of_map(run, map_yaml, truth)
     T_world_frame = _place(truth, estimate, frame)
@@ -147,6 +138,20 @@ def score(
         trajectory=errors,
         map={} if map_yaml is None else _score_map(run, map_yaml, T_world_frame, alignment),
     )
+
+
+def _in_frame(path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame) -> tuple[Trajectory, Frame]:
+    """Return a trajectory with the axes of base_link, and its frame."""
+    if turned := turn_upright(estimate, truth):
+        estimate, axes = turned
+        if frame not in ("auto", "align"):
+            raise SourceError(
+                f"{path}: its axes are {axes}, those of the {frame} frame x ahead, z up: "
+                "--frame align turns it and moves it to the best fit"
+            )
+        frame = "align"
+        warnings.warn(f"{path}: its axes are {axes}: moved to the best fit", stacklevel=3)
+    return estimate, frame_of(path, estimate, truth, frame)
 
 
 def _place(truth: Trajectory, estimate: Trajectory | None, frame: Frame) -> Pose2:
