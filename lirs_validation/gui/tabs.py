@@ -207,7 +207,7 @@ class PlaybackTab(Generic[AnyPlayback]):
     def _add_timeline(self) -> None:
         gui = self._page.client.gui
         self._slider = gui.add_slider("timeline [s]", 0.0, 1.0, 0.1, 0.0, visible=False)
-        self._slider.on_update(self._page.guard(self._go_to_slider))
+        self._slider.on_update(self._go_to_slider)
         self._facts = gui.add_markdown("")
 
     def pause(self) -> None:
@@ -286,10 +286,11 @@ class PlaybackTab(Generic[AnyPlayback]):
         self._facts.content = as_table(moment.facts)
         self._shown_at = time.monotonic()
 
-    def _go_to_slider(self, event: Any) -> None:
+    async def _go_to_slider(self, event: Any) -> None:
+        # A coroutine is called at once, and not in a thread: a moment that is shown then moves the timeline.
         if event.client_id is None or self.playback is None:
             return  # moved by `_show_scan`
-        wanted = float(self._slider.value)  # now: a moment that is still being shown moves the timeline back
+        wanted = float(self._slider.value)
 
         def show() -> None:
             if self.playback is not None:

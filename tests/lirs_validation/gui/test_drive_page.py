@@ -78,6 +78,26 @@ def test_drive_steer_save_and_replay(open_page: Open, server: Any, tmp_path: Pat
     assert server.pages[0].drive.playback is None
 
 
+def test_a_moment_that_is_shown_does_not_move_the_timeline_back(open_page: Open, server: Any) -> None:
+    page = open_page()
+    page.get_by_role("tab", name="Drive").click()
+    page.get_by_role("button", name="Start").click()
+    tab = server.pages[0].drive
+    wait_for(lambda: tab.playback is not None and tab.playback.time > 2.0)
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Go on").wait_for()
+    slider = vars(tab)["_slider"]
+    shown = slider.value
+
+    async def show_moment(event: Any) -> None:
+        if event.client_id is not None:
+            slider.value = shown
+
+    slider.on_update(show_moment)
+    field(page, "timeline").fill("1")
+    wait_for(lambda: figure(page, "time").startswith("1.0 "), 20)
+
+
 def test_closing_the_page_frees_its_simulation(open_page: Open, server: Any) -> None:
     page = open_page()
     page.get_by_role("tab", name="Drive").click()

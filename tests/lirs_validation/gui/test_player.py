@@ -1,5 +1,6 @@
 """The timeline of a drive, without a browser."""
 
+import asyncio
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -66,7 +67,7 @@ def test_a_drag_keeps_its_time_while_another_moment_is_shown(gui: Any) -> None:
     tab, scene, jobs = replay(gui)
     tab._begin(drive())
     tab._slider.value = 1.0
-    tab._go_to_slider(SimpleNamespace(client_id=1))
+    asyncio.run(tab._go_to_slider(SimpleNamespace(client_id=1)))
     tab._show_scan(50)
     jobs.pop()()
     assert scene.times == pytest.approx([0.0, 5.0, 1.0])
