@@ -6,12 +6,12 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from operator import itemgetter
 from pathlib import Path
 from statistics import median_low
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 from scipy.special import betaincinv  # imports in a third of the time of scipy.stats
 
@@ -23,7 +23,7 @@ from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import interrupt_after
-from lirs_validation.record.metric_catalog import value_at
+from lirs_validation.record.metric_catalog import ATE, value_at
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import VerdictClass, cause_of, extent_sentences
 from lirs_validation.sweep.sweep import Sweep
@@ -111,7 +111,7 @@ class TrialDrive:
     """One drive of a trial: class and sentence of its verdict, and the name of its folder.
 
     `reason` is the cause of an early end or that scans see no walls, `extent` the evaluated part of the
-    world.
+    world; path error and driven distance are in meters, None of a drive without result.
     """
 
     seed: int
@@ -120,6 +120,8 @@ class TrialDrive:
     sentence: str
     extent: str
     folder: str
+    error: float | None = None
+    distance: float | None = None
 
 
 @dataclass(frozen=True)
@@ -144,8 +146,13 @@ class Trial:
     @property
     def test(self) -> SequentialTest:
         """State of the test; drives that were not evaluated do not count."""
-        evaluated = [drive.kind == "works" for drive in self.drives if drive.kind != "not evaluated"]
-        return SequentialTest(sum(evaluated), len(evaluated) - sum(evaluated))
+        works = [drive.kind == "works" for drive in self.evaluated]
+        return SequentialTest(sum(works), len(works) - sum(works))
+
+    @property
+    def evaluated(self) -> tuple[TrialDrive, ...]:
+        """Drives that were evaluated."""
+        return tuple(drive for drive in self.drives if drive.kind != "not evaluated")
 
     @property
     def unevaluated(self) -> int:
@@ -186,18 +193,6 @@ class Trial:
         if done < FIRST_DRIVES:
             count = min(count, FIRST_DRIVES - done)
         return [replace(self.config, seed=self.config.seed + done + k) for k in range(count)]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the trial as JSON stores it."""
-        return {
-            "robot": self.config.robot,
-            "mapper": self.config.mapper,
-            "forecast": self.forecast,
-            "decision": self.decision,
-            "share": self.test.share,
-            "interval": list(self.test.interval),
-            "drives": [asdict(drive) for drive in self.drives],
-        }
 
 
 @dataclass(frozen=True)
@@ -312,8 +307,9 @@ class TimedDrives:
         """Read the record of a finished drive."""
         entry = read_record(self._out / name)
         sentence, kind = entry["verdict"]["sentence"], entry["verdict"]["class"]
-        reason, extent = cause_of(kind, entry), extent_sentences(entry)
-        self._finished[name] = TrialDrive(config.seed, kind, reason, sentence, extent, name)
+        figures = (None if kind == "failed" else value_at(entry, key) for key in (ATE, "trajectory.length"))
+        texts = cause_of(kind, entry), sentence, extent_sentences(entry), name
+        self._finished[name] = TrialDrive(config.seed, kind, *texts, *figures)
         self.costs.setdefault(key_of(config), value_at(entry, "rtf.wall_seconds") or 0.0)
 
     def run(self, configs: Sequence[RunConfig]) -> None:

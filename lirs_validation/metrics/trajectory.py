@@ -9,6 +9,7 @@ al., "On measuring the accuracy of SLAM algorithms" (Autonomous Robots 2009).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,6 +94,38 @@ def trajectory_errors(
         poses=len(i),
         scan_coverage=scan_coverage(truth.stamps, estimate.stamps),
     )
+
+
+@dataclass(frozen=True)
+class ErrorSpread:
+    """Interval of the central path errors of several drives.
+
+    At each end about 5 % of the drives are left out: none of fewer than 10, one of fewer than 30.
+
+    Attributes:
+        inside: Number of drives with an error in the interval.
+        total: Number of drives.
+        low: Smallest error of the interval, meters.
+        high: Largest error of the interval, meters.
+    """
+
+    inside: int
+    total: int
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, errors: Iterable[float | None]) -> ErrorSpread | None:
+        """Return the interval; a drive without an error counts as the largest. None if none has one."""
+        values = list(errors)
+        ends = (len(values) + 10) // 20
+        central = sorted(error for error in values if error is not None)[ends : len(values) - ends]
+        return cls(len(central), len(values), central[0], central[-1]) if central else None
+
+    @property
+    def count(self) -> str:
+        """Number of drives inside, as in `8 of 10`."""
+        return f"{self.inside} of {self.total}" if self.inside < self.total else f"all {self.total}"
 
 
 @dataclass(frozen=True, kw_only=True)

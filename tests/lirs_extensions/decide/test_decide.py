@@ -283,6 +283,26 @@ def test_a_promise_needs_the_whole_interval() -> None:
     assert "at least 80 %" in conclusion(Answer("simple", Trial(CONFIG, drives("w" * 17))))
 
 
+def spread_of(kinds: str, errors: list[float | None]) -> str:
+    """Return the sentence on the path errors of drives over 1, 2, 3, ... m."""
+    made = [
+        replace(drive, error=error, distance=float(k))
+        for k, (drive, error) in enumerate(zip(drives(kinds), errors, strict=True), start=1)
+    ]
+    text = conclusion(Answer("simple", Trial(CONFIG, tuple(made))))
+    return next((sentence for sentence in text.split(". ") if "path error" in sentence), "").rstrip(".")
+
+
+def test_the_spread_of_path_errors_is_told_for_all_evaluated_drives() -> None:
+    text = spread_of("wwwlwwwlww", [0.03, 0.05, 0.02, 7.0, 0.04, 0.06, 0.01, 0.9, 0.02, 0.05])
+    assert text == "In 8 of 10 drives the path error is between 0.020 and 0.900 m after 5.5 m"
+    text = spread_of("wnl", [0.03, 99.0, 1.5])
+    assert text == "In all 2 drives the path error is between 0.030 and 1.500 m after 2.0 m"
+    assert spread_of("nw", [99.0, 0.03]) == "In this drive the path error is 0.030 m after 2.0 m"
+    assert spread_of("www", [0.03, None, 0.05]).startswith("In 2 of 3 drives the path error is between 0.030")
+    assert spread_of("nn", [0.1, 0.2]) == spread_of("", []) == spread_of("ww", [None, None]) == ""
+
+
 @pytest.mark.parametrize(
     ("config", "walls", "expected"),
     [
@@ -325,3 +345,8 @@ def test_page_picture_and_json_are_written(driven: list[RunConfig], tmp_path: Pa
     (answer,) = json.loads((tmp_path / "verdict.json").read_text(encoding="utf-8"))["answers"]
     assert (answer["decision"], answer["share"], len(answer["drives"])) == ("works", 1.0, 10)
     assert answer["interval"] == pytest.approx([0.6915, 1.0], abs=1e-4)
+    assert "In 8 of 10 drives the path error is between 0.020 and 0.020 m after 24.0 m." in html
+    assert answer["path_error"] == {
+        **{"inside": 8, "total": 10, "low": 0.02, "high": 0.02, "count": "8 of 10", "distance": 24.0}
+    }
+    assert {drive["error"] for drive in answer["drives"]} == {0.02}

@@ -21,6 +21,7 @@ from lirs_validation.metrics.mapped_log import (
     reference_errors,
 )
 from lirs_validation.metrics.trajectory import (
+    ErrorSpread,
     close_pairs,
     pairs_by_path,
     pairs_by_time,
@@ -387,3 +388,42 @@ def test_metrics_of_the_record_by_hand() -> None:
     assert found["reference"] == pytest.approx(
         {"ate_rmse": math.sqrt(12.5), "ate_max": 4.0, "yaw_rmse_deg": math.sqrt(50), "used": 2, "outside": 7}
     )
+
+
+@given(st.lists(st.none() | st.floats(1e-3, 1e3), min_size=1, max_size=60), st.randoms(use_true_random=False))
+def test_a_spread_counts_the_central_drives_in_any_order(errors: list[float | None], order: object) -> None:
+    spread, known = ErrorSpread.of(errors), [error for error in errors if error is not None]
+    shuffled = errors.copy()
+    order.shuffle(shuffled)  # type: ignore[attr-defined]
+    assert ErrorSpread.of(shuffled) == spread
+    # A drive without an error is worse than any.
+    worst = ErrorSpread.of(1e6 if error is None else error for error in errors)
+    ends = round(0.05 * len(errors) + 1e-9)
+    if spread is None:
+        assert len(known) <= ends
+        return
+    assert worst is not None
+    assert spread.low == worst.low
+    assert spread.high == min(worst.high, max(known))
+    assert spread.total == len(errors)
+    assert spread.inside <= sum(spread.low <= error <= spread.high for error in known)
+    assert spread.inside == min(len(errors) - ends, len(known)) - ends
+    assert sum(error < spread.low for error in known) <= ends
+
+
+@pytest.mark.parametrize(("count", "text"), [(1, "all 1"), (9, "all 9"), (10, "8 of 10"), (20, "18 of 20")])
+def test_a_spread_states_its_count(count: int, text: str) -> None:
+    spread = ErrorSpread.of(map(float, range(count)))
+    assert spread is not None
+    assert spread.count == text
+
+
+def test_a_new_drive_lies_in_the_interval_as_often_as_chance_says() -> None:
+    """Of 21 drives alike, the last has each rank with the same probability: 17 ranks are inside."""
+    rng, inside = np.random.default_rng(3), 0
+    for _ in range(2000):
+        *drives, new = rng.lognormal(size=21).tolist()
+        spread = ErrorSpread.of(drives)
+        assert spread is not None
+        inside += spread.low <= new <= spread.high
+    assert inside / 2000 == pytest.approx(17 / 21, abs=0.03)
