@@ -1,10 +1,12 @@
 """Twin test: planted noise recovered, and real logs against their simulations.
 
-    python benchmarks/twin.py [LOG[,TRUTH] ...] [--planted large|small|none] [--draws 1] [--output OUT]
+    python benchmarks/twin.py [LOG[,TRUTH] ...] [--planted large|small|none] [--mappers NAMES|all|none]
+        [--draws 20] [--jobs 1] [--output OUT]
 
 A Husky drives through a generated floor plan with known noise of lidar, wheels and gyro; `lirs-wct twin` is
-run on the log of that drive, and on the given logs with `--lidar lms200`. Six mappers map each log and its
-simulations; TRUTH is a reference trajectory, or relations if its name has the word.
+run on the log of that drive, and on the given logs with `--lidar lms200`. Mappers map each log and its
+simulations: is the error on the log in the interval of the simulations? TRUTH is a reference trajectory, or
+relations if its name has the word. An `imu.csv.gz` beside a log gives the attitude on the log.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -25,11 +28,11 @@ from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.sensors import SensorNoise, write_noise
 from lirs_envs.sensing.wheel_odometry import OdometryConfig
-from lirs_extensions.search.twin.replay import REPLAYED, Replay
+from lirs_extensions.search.twin.replay import DRAWS, Replay, parse_mappers
 from lirs_extensions.search.twin.twin import run_twin
 from lirs_validation import validate
 from lirs_validation.config import MapConfig
-from lirs_wct import OccupancyGrid
+from lirs_wct import OccupancyGrid, SourceError
 from lirs_wct.formats.map_server import write_map
 
 PLANTED = {
@@ -46,7 +49,7 @@ COLUMNS = (
     "log", "localized", "compared", "sigma, mm + mm/m", "map's share", "distance before, after",
     "lost real, simulated", "standstill, mm", "CPU s",
 )  # fmt: skip
-ERRORS = ("log", "mapper", "error, m", "simulated, m", "ratio", "each simulated log", "status")
+ERRORS = ("log", "mapper", "error, m", "interval, m", "inside", "high / low", "lost draws, log")
 
 
 def planted_log(folder: Path, seconds: float, noise: SensorNoise) -> Path:
@@ -81,11 +84,28 @@ def log_row(log: str, figures: dict[str, Any]) -> tuple[str, ...]:
 
 def replay_rows(log: str, replay: Replay) -> list[tuple[str, ...]]:
     """Return a row for each mapper."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for m in replay.mappers:
-        values = ("-" if value is None else f"{value:.3f}" for value in (m.real, m.simulated, m.ratio))
-        drawn = " ".join("-" if error is None else f"{error:.3f}" for error in m.drawn)
-        rows.append((log, m.mapper, *values, drawn, " ".join(m.status) or m.reason))
+        draws, real = m.status[: len(m.drawn)], m.status[len(m.drawn) :]
+        status = f"{len(draws) - draws.count('ok')}, {' '.join(real)}" if draws else m.reason
+        if m.spread is None or m.real is None:
+            rows.append((log, m.mapper, *("-",) * 4, status))
+            continue
+        low, high = m.spread.low, m.spread.high
+        inside = "yes" if m.inside else "above" if m.real > high else "below"
+        interval = f"{low:.3f} to {high:.3f}"
+        rows.append((log, m.mapper, f"{m.real:.3f}", interval, inside, f"{high / low:.1f}", status))
+    return rows
+
+
+def coverage_rows(replays: Sequence[Replay]) -> list[tuple[str, ...]]:
+    """Return how often the interval holds and how wide it is, for each mapper and all."""
+    every = [m for replay in replays for m in replay.mappers if m.inside is not None]
+    rows: list[tuple[str, ...]] = []
+    for name in (*dict.fromkeys(m.mapper for m in every), "all"):
+        some = [m for m in every if name in (m.mapper, "all")]
+        width = median(m.spread.high / m.spread.low for m in some if m.spread)
+        rows.append((name, f"{sum(bool(m.inside) for m in some)} of {len(some)}", f"{width:.1f}"))
     return rows
 
 
@@ -105,45 +125,66 @@ def show_planted(console: Console, name: str, seconds: float, folder: Path) -> N
     console.print(table, f"Kolmogorov distance {result.distance_before:.3f}, {result.fitted.distance:.3f}")
 
 
-def show_logs(console: Console, logs: Sequence[str], draws: int, out: Path) -> None:
+def show_logs(
+    console: Console, logs: Sequence[str], mappers: Sequence[str], draws: int, jobs: int, out: Path
+) -> None:
     """Print noise, distances and replays of real logs."""
     noise, errors = Table(*COLUMNS, title="real logs"), Table(*ERRORS, title="replay")
     replays = []
     for given in logs:
-        path, _, truth = given.partition(",")
+        log, _, truth = given.partition(",")
+        path, name = Path(log), "/".join(Path(log).parts[-2:])
         kind = "relations" if "relations" in Path(truth).name else "reference"
         known: dict[str, Any] = {kind: truth} if truth else {}
-        config = MapConfig(log=path, **known)
+        imu = path.parent / "imu.csv.gz"
+        config = MapConfig(log=log, imu=str(imu) if imu.exists() else None, **known)
         begun = time.process_time()
-        names = REPLAYED if draws else ()
-        result, _ = run_twin(config, lidar="lms200", seed=1, out=out, replayed=names, draws=draws)
-        noise.add_row(*log_row(Path(path).name, result.figures()), f"{time.process_time() - begun:.0f}")
+        try:
+            result, _ = run_twin(
+                config, lidar="lms200", seed=1, out=out, replayed=mappers, draws=draws, jobs=jobs
+            )
+        except SourceError as error:
+            console.print(str(error))
+            continue
+        noise.add_row(*log_row(name, result.figures()), f"{time.process_time() - begun:.0f}")
         if result.replay is not None:
             replays.append(result.replay)
-            for name, both in result.replay.figures()["odometry"].items():
+            for deviation, both in result.replay.figures()["odometry"].items():
                 if both["real"] is not None:
-                    values = (both["real"], both["simulated"], both["simulated"] / both["real"])
-                    errors.add_row(Path(path).name, f"odometry, {name}", *(f"{v:.3f}" for v in values))
-            for row in replay_rows(Path(path).name, result.replay):
+                    values = (f"{both[key]:.3f}" for key in ("real", "simulated"))
+                    errors.add_row(name, f"odometry, {deviation}", *values)
+            for row in replay_rows(name, result.replay):
                 errors.add_row(*row)
+                print(*row, sep="\t", flush=True)
     console.print(noise)
     if replays:
-        pairs = tuple(m for replay in replays for m in replay.pairs)
-        tau = Replay("", pairs).tau
-        console.print(
-            errors, f"{sum(m.agrees for m in pairs)} of {len(pairs)} within a factor of two, tau {tau}"
-        )
+        console.print(errors)
+        coverage = Table("mapper", "inside", "median high / low", title="intervals")
+        for row in coverage_rows(replays):
+            coverage.add_row(*row)
+        console.print(coverage)
 
 
 def main() -> None:
     """Measure and print."""
-    given = arguments(__doc__, "logs", logs=(), planted="large", seconds=300.0, draws=1, output=Path)
+    given = arguments(
+        __doc__,
+        "logs",
+        logs=(),
+        planted="large",
+        seconds=300.0,
+        mappers="all",
+        draws=DRAWS,
+        jobs=1,
+        output=Path,
+    )
     console = Console(width=170)
     with tempfile.TemporaryDirectory() as made:
         if given.planted != "none":
             show_planted(console, given.planted, given.seconds, Path(made))
         if given.logs:
-            show_logs(console, given.logs, given.draws, given.output or Path(made))
+            names = parse_mappers(given.mappers)
+            show_logs(console, given.logs, names, given.draws, given.jobs, given.output or Path(made))
 
 
 if __name__ == "__main__":

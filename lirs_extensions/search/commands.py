@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from lirs_extensions.search.options import FalsifyOptions, TuneOptions
+from lirs_extensions.search.options import FalsifyOptions, PoolOptions, TuneOptions
 from lirs_validation.cli.command import OneSource, common
 from lirs_validation.cli.commands.worlds import LogInOut
 from lirs_validation.cli.progress import command_line, note, progress_bar, say
@@ -31,14 +31,14 @@ class TuneFolder(OneSource):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwinCommand(LogInOut):
+class TwinCommand(LogInOut, PoolOptions):
     """Log, lidar and replayed mappers of `twin`."""
 
     lidar: str = option("lms200", "Preset whose data sheet the log is compared with.", metavar="NAME")
-    replay: str = option("all", "Mappers of the log and its simulation.", metavar="NAMES|all|none")
-    draws: int = option(
-        1, "Simulated logs with different random numbers; errors are their medians.", check=within("[1, inf)")
+    replay: str | None = option(
+        None, "Mappers of the simulated logs; default: that of --mapper.", metavar="NAMES|all|none"
     )
+    draws: int = option(20, "Simulated logs; their errors give the interval.", check=within("[3, 1000]"))
 
 
 def falsify(folder: FalsifyFolder, options: FalsifyOptions) -> None:
@@ -129,11 +129,11 @@ def _tune_target(
 
 
 @common(
-    *("output", "lidar", "mapper", "replay", "draws", "reference", "relations", "fov", "range_max"),
-    *("scan_topic", "odom_topic", "seed"),
+    *("output", "lidar", "mapper", "replay", "draws", "jobs", "reference", "relations", "fov"),
+    *("range_max", "scan_topic", "odom_topic", "seed"),
 )
 def twin(options: TwinCommand, given: Annotated[dict[str, Any], MapConfig]) -> None:
-    """Compare a log with its simulation: twin.html, and fitted noise.yaml for --noise.
+    """Compare a log with its simulation: noise.yaml for --noise, and the interval of a mapper's error.
 
     Examples:
     lirs-wct twin examples/data/office.clf.gz -o out/
@@ -149,8 +149,9 @@ def twin(options: TwinCommand, given: Annotated[dict[str, Any], MapConfig]) -> N
             lidar=options.lidar,
             seed=config.seed,
             out=options.output,
-            replayed=parse_mappers(options.replay),
+            replayed=parse_mappers(options.replay or config.mapper),
             draws=options.draws,
+            jobs=options.jobs,
             command=command_line(),
             progress=progress,
         )

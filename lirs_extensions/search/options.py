@@ -20,7 +20,17 @@ _RUN = declared(RunConfig)
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class SearchOptions(Options):
+class PoolOptions(Options):
+    """Processes of a search or replay."""
+
+    jobs: int = option(
+        1, "Concurrent drives, each in its own process.", metavar="N", panel=SEARCH, check=within("[1, 256]")
+    )
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions(PoolOptions):
     """Search of a space of parameters.
 
     Attributes:
@@ -33,9 +43,6 @@ class SearchOptions(Options):
         "YAML file with other limits of the parameters, such as `NAME: [LOW, HIGH]`; a number holds one.",
         metavar="FILE.yaml",
         panel=SEARCH,
-    )
-    jobs: int = option(
-        1, "Concurrent drives, each in its own process.", metavar="N", panel=SEARCH, check=within("[1, 256]")
     )
 
 

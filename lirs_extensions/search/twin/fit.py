@@ -127,6 +127,7 @@ class FittedNoise:
         noise: Fitted noise.
         low: lower bounds of its 95 % confidence intervals.
         high: upper bounds.
+        samples: noise of each bootstrap sample.
         map_width: (bins,) width that the map explains, meters.
         distance: Kolmogorov distance between real and simulated residuals.
         real: statistics of the log.
@@ -137,6 +138,7 @@ class FittedNoise:
     noise: LidarNoise
     low: LidarNoise
     high: LidarNoise
+    samples: tuple[LidarNoise, ...]
     map_width: FloatArray
     distance: float
     real: Sample
@@ -184,7 +186,8 @@ def fit_noise(real: LogComparison, start: FloatArray, seed: int) -> FittedNoise:
     last = _compare_simulations(real, start, fitted, seed + ROUNDS)
     final = Sample.of(*last)
     distance = residual_distance(sample, final)
-    return FittedNoise(fitted, low, high, map_width, distance, sample, final, last[0].scans.poses)
+    poses = last[0].scans.poses
+    return FittedNoise(fitted, low, high, tuple(drawn), map_width, distance, sample, final, poses)
 
 
 def _compare_simulations(
@@ -253,6 +256,7 @@ class FittedOdometry:
         scale_sigma: deviation of the scale error, and interval.
         rate_sigma: white noise of the turn rate in each update of a simulation, rad/s, and interval.
         rate_bias: absolute mean error of the turn rate while the robot moves, rad/s.
+        samples: (SAMPLES, 2) `scale_sigma` and `rate_sigma` of each bootstrap sample.
     """
 
     segments: int
@@ -260,6 +264,7 @@ class FittedOdometry:
     scale_sigma: tuple[float, float, float]
     rate_sigma: tuple[float, float, float]
     rate_bias: float
+    samples: FloatArray
 
 
 def fit_odometry(
@@ -302,7 +307,7 @@ def fit_odometry(
     low, high = np.quantile(fits[1:], (0.025, 0.975), axis=0)
     scale, rate = ((float(fits[0, k]), float(low[k]), float(high[k])) for k in range(2))
     bias = abs(float(found[:, 1].sum() / times.sum()))
-    return FittedOdometry(n, float(np.median(found[:, 0])), scale, rate, bias)
+    return FittedOdometry(n, float(np.median(found[:, 0])), scale, rate, bias, fits[1:])
 
 
 def odometry_deviations(odometry: FloatArray, poses: FloatArray) -> tuple[float, float] | None:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
-from scipy.stats import kendalltau
 
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_envs.sensing.odometry import DistanceNoise
 from lirs_envs.sensing.sensors import SensorNoise
+from lirs_extensions.search.case_search import process_pool
 from lirs_extensions.search.twin.fit import odometry_deviations
 from lirs_extensions.search.twin.surface import (
     GATE,
@@ -31,22 +31,24 @@ from lirs_extensions.search.twin.surface import (
 )
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
-from lirs_validation.logs.read_log import read_truth, truth_in_time
+from lirs_validation.logs.read_log import Truth
 from lirs_validation.metrics.mapped_log import RelativePoseConstraint, trajectory_accuracy
+from lirs_validation.metrics.trajectory import ErrorSpread
 from lirs_validation.record.metric_catalog import NOTHING
 from lirs_validation.report.table import ReportTable
+from lirs_validation.sweep.engines import Failure, Job, WorkerPool
 from lirs_wct import FloatArray, LaserScan, Pose2, SourceError, Trajectory, unknown_name
-from lirs_wct.drawing.canvas import BLUE, GRAY, Drawing, new_figure, plain_axes, title
+from lirs_wct.drawing.canvas import BLUE, GRAY, VERMILLION, Drawing, new_figure, plain_axes, title
 from lirs_wct.formats import drive_files
-from lirs_wct.progress import Progress
+from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import MAPPERS
 
 REPLAYED = (
     "hector", "gmapping", "cartographer", "hector_original", "gmapping_original", "cartographer_original",
 )  # fmt: skip
 """Mappers of a replay."""
-FACTOR = 2.0
-"""Errors within this factor agree."""
+DRAWS = 20
+"""Simulated logs of a replay."""
 
 
 def parse_mappers(text: str) -> tuple[str, ...]:
@@ -62,12 +64,12 @@ def parse_mappers(text: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ReplayedMapper:
-    """Errors of a mapper on a log and on its simulation.
+    """Errors of a mapper on a log and on its simulations.
 
     Attributes:
-        real: Error on the log, meters; None if nothing can be compared.
+        real: Error on the log, meters; None without truth, or if nothing can be compared.
         drawn: Errors on the simulated logs, by the same metric.
-        status: Statuses of the mappings of the log and of the simulated logs.
+        status: Statuses of the mappings of the simulated logs, and of the log if it was mapped.
         reason: Cause why the mapper was left out; empty otherwise.
     """
 
@@ -78,25 +80,32 @@ class ReplayedMapper:
     reason: str = ""
 
     @property
-    def simulated(self) -> float | None:
-        """Median error on the simulated logs, meters."""
-        known = [error for error in self.drawn if error is not None]
-        return median(known) if known else None
+    def spread(self) -> ErrorSpread | None:
+        """Interval of the errors on the simulated logs; None without any."""
+        return ErrorSpread.of(self.drawn)
 
     @property
-    def ratio(self) -> float | None:
-        """Simulated error over the real one."""
-        return self.simulated / self.real if self.real and self.simulated else None
+    def inside(self) -> bool | None:
+        """Whether the error on the log lies in the interval; None where one of them is unknown."""
+        spread = self.spread
+        return None if spread is None or self.real is None else spread.low <= self.real <= spread.high
 
-    @property
-    def agrees(self) -> bool:
-        """Whether the errors are within a factor of two."""
-        return self.ratio is not None and 1 / FACTOR <= self.ratio <= FACTOR
+    def sentence(self, metric: str) -> str:
+        """Return the interval, and the error on the log where it is known."""
+        spread = self.spread
+        if spread is None:
+            return f"{self.mapper} has no error in the simulation: {self.reason or 'nothing is comparable'}."
+        place = "inside" if self.inside else "outside"
+        real = "" if self.real is None else f"; on the log it is {self.real:.3f} m: {place}"
+        return (
+            f"On this log's noise, {self.mapper}'s {metric} is between {spread.low:.3f} and "
+            f"{spread.high:.3f} m in {spread.count} draws{real}."
+        )
 
 
 @dataclass(frozen=True)
 class Replay:
-    """Errors of mappers on a log and on its simulation.
+    """Errors of mappers on a log and on its simulations.
 
     Attributes:
         metric: Name of the error.
@@ -109,40 +118,21 @@ class Replay:
     odometry: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     @property
-    def pairs(self) -> tuple[ReplayedMapper, ...]:
-        """Mappers with both errors."""
-        return tuple(m for m in self.mappers if m.ratio is not None)
-
-    @property
-    def tau(self) -> float | None:
-        """Kendall's tau between the errors on both logs; None where they have no order."""
-        if len(self.pairs) < 3:
-            return None
-        real, simulated = zip(*((m.real, m.simulated) for m in self.pairs), strict=True)
-        tau = float(kendalltau(real, simulated).statistic)
-        return None if math.isnan(tau) else tau
-
-    @property
-    def sentence(self) -> str:
-        """Mappers whose verdicts from the simulation can be trusted, in one sentence."""
-        near = ", ".join(m.mapper for m in self.pairs if m.agrees)
-        far = ", ".join(f"{m.mapper} ({m.ratio:.2g} x the log's)" for m in self.pairs if not m.agrees)
-        enough = f"close enough to trust a verdict on {near}: errors agree within a factor of {FACTOR:g}"
-        but = f"{'; but not on ' if near else 'not close enough to trust a verdict on '}{far}" if far else ""
-        found = f"{enough if near else ''}{but}" or "not yet known to be close enough: no mapper was compared"
-        return f"The simulation of this lidar is {found}."
+    def sentences(self) -> tuple[str, ...]:
+        """Interval of each mapper."""
+        return tuple(mapper.sentence(self.metric) for mapper in self.mappers)
 
     def figures(self) -> dict[str, Any]:
         """Return all figures, for JSON."""
         rows = [
-            {"mapper": m.mapper, "real": m.real, "simulated": list(m.drawn), "ratio": m.ratio,
-             "status": list(m.status), "reason": m.reason}
+            {"mapper": m.mapper, "real": m.real, "simulated": list(m.drawn), "inside": m.inside,
+             "interval": m.spread and asdict(m.spread), "status": list(m.status), "reason": m.reason}
             for m in self.mappers
         ]  # fmt: skip
         names = ("distance", "turn")
         both = self.odometry or ((None, None), (None, None))
         deviations = {n: {"real": a, "simulated": b} for n, a, b in zip(names, *both, strict=True)}
-        return {"metric": self.metric, "tau": self.tau, "mappers": rows, "odometry": deviations}
+        return {"metric": self.metric, "mappers": rows, "odometry": deviations}
 
 
 @dataclass(frozen=True)
@@ -227,45 +217,76 @@ def simulate_odometry(truth: Trajectory, noise: SensorNoise, seed: int) -> list[
 
 def replay_log(
     config: MapConfig,
+    truth: Truth,
     path: TwinPath,
-    noise: SensorNoise,
+    noises: Sequence[SensorNoise],
     names: Sequence[str],
-    draws: int,
     folder: Path,
+    jobs: int,
     progress: Progress,
 ) -> Replay:
     """Map a log and its simulations by some mappers; return their errors.
 
-    The truth of the log is its relations or its reference; without both it is the path in the map. Each of
-    the `draws` simulated logs has another seed; the folder receives them, and their true path.
+    Each noise has a simulated log with a seed of its own, also of the mapper. The truth of the log is its
+    relations or its reference; without both only the simulations are mapped. The folder receives the first
+    simulated log, and the true path.
     """
     drive_files.write_tum(folder / "truth.tum", path.truth)
-    paths = [folder / f"simulated-{config.seed + k}.clf.gz" for k in range(draws)]
-    logs = [path.simulate_log(noise, config.seed + k) for k in range(draws)]
-    for written, log in zip(paths, logs, strict=True):
-        drive_files.write_scans(written, log)
-    truth = relations, reference = read_truth(config)
-    metric = "ATE" if reference else f"ATE to the path of {config.mapper}"
-    metric = "mean error of the relations" if relations else metric
+    logs = [path.simulate_log(noise, config.seed + k) for k, noise in enumerate(noises)]
+    written = [folder / f"simulated-{config.seed + k}.clf.gz" for k in range(len(logs))]
+    for file, log in zip(written, logs, strict=True):
+        drive_files.write_scans(file, log)
+    on_path = None if truth[0] is None else _relations_on(path.truth, truth[0])
+    own: dict[str, Any] = {"mapper_python": None, "parameters": "", "resolution": None, "second": "none"}
+    real = replace(config, relations=None, reference=None, **own)
+    draws = [MapConfig(log=str(file), seed=config.seed + k, second="none") for k, file in enumerate(written)]
     rows = []
-    for k, name in enumerate(names):
-        progress(f"replay {name}", k / len(names))
-        options: dict[str, Any] = {"mapper": name, "seed": config.seed, "second": "none"}
-        own: dict[str, Any] = {"mapper_python": None, "parameters": "", "resolution": None, "imu": None}
-        plain = replace(config, relations=None, reference=None, **options, **own)
-        try:
-            real = run_mapping(plain)
-            twins = [run_mapping(MapConfig(log=str(written), **options)) for written in paths]
-        except SourceError as error:
-            rows.append(ReplayedMapper(name, reason=str(error)))
-            continue
-        given, true = truth_in_time(truth, real.log.lines)
-        true = path.truth if true is None else true
-        on_path = None if given is None else _relations_on(path.truth, given)
-        errors = tuple(_error(twin, on_path, path.truth) for twin in twins)
-        status = (real.record.status, *(twin.record.status for twin in twins))
-        rows.append(ReplayedMapper(name, _error(real, given, true), errors, status))
+    with process_pool(jobs) as pool:
+        for name in names:
+            tasks = [partial(_map_once, replace(draw, mapper=name), on_path, path.truth) for draw in draws]
+            if truth != (None, None):
+                tasks.append(partial(_map_once, replace(real, mapper=name), *truth))
+            rows.append(_replay_mapper(name, tasks, len(draws), pool, progress))
+    for file in written[1:]:
+        file.unlink()
+    metric = "ATE" if truth[0] is None else "mean error of the relations"
     return Replay(metric, tuple(rows), _compare_odometry(path, logs))
+
+
+Errors = tuple[float | None, str]
+"""Error of a mapping, meters, and its status."""
+
+
+def _map_once(
+    config: MapConfig,
+    relations: Sequence[RelativePoseConstraint] | None,
+    reference: Trajectory | None,
+    progress: Progress,
+) -> Errors:
+    """Map a log; return its error, of relations where given, else the ATE, and status."""
+    mapped = run_mapping(config)
+    found = trajectory_accuracy(mapped.trajectory, mapped.log.track, relations, reference).metrics()
+    kind, name = ("reference", "ate_rmse") if relations is None else ("relations", "translation_mean")
+    return found[kind][name], mapped.record.status
+
+
+def _replay_mapper(
+    name: str, tasks: Sequence[Job[Errors]], draws: int, pool: WorkerPool | None, progress: Progress
+) -> ReplayedMapper:
+    """Map the simulated logs, and last the log if there is a task for it."""
+    found = dict[int, Errors]()
+    try:
+        ended = enumerate(task(no_progress) for task in tasks) if pool is None else pool.run(tasks)
+        for number, value in ended:
+            if isinstance(value, Failure):
+                raise SourceError(f"its process died: {value.reason}")
+            found[number] = value
+            progress(f"replay {name}", len(found) / len(tasks))
+    except SourceError as error:
+        return ReplayedMapper(name, reason=str(error))
+    errors, status = zip(*(found[k] for k in range(len(tasks))), strict=True)
+    real = errors[draws] if len(tasks) > draws else None
+    return ReplayedMapper(name, real, errors[:draws], status)
 
 
 def _compare_odometry(
@@ -291,51 +312,43 @@ def _relations_on(
     return [replace(r, T_ab=Pose2(*a).inverse() @ Pose2(*b)) for r, a, b in pairs]
 
 
-def _error(
-    mapped: MappedLog, relations: Sequence[RelativePoseConstraint] | None, reference: Trajectory | None
-) -> float | None:
-    """Return a mapper's error, meters: of relations where given, else the ATE."""
-    found = trajectory_accuracy(mapped.trajectory, mapped.log.track, relations, reference).metrics()
-    kind, name = ("reference", "ate_rmse") if relations is None else ("relations", "translation_mean")
-    error: float | None = found[kind][name]
-    return error
-
-
 def replay_figure(replay: Replay) -> Drawing:
-    """Draw the mappers' errors on the simulated log over those on the log."""
-    figure = new_figure(5.5, 4.5)
+    """Draw each mapper's errors on the simulated logs, their interval, and its error on the log."""
+    figure = new_figure(6.5, 1.2 + 0.45 * len(replay.mappers))
     ax = figure.subplots()
-    rows = [(m.mapper, m.real, m.simulated) for m in replay.mappers if m.real and m.simulated]
-    low = 0.7 * min(min(real, simulated) for _, real, simulated in rows)
-    high = 1.4 * max(max(real, simulated) for _, real, simulated in rows)
-    line = np.array((low, high))
-    ax.fill_between(line, line / FACTOR, line * FACTOR, color=GRAY, alpha=0.25, linewidth=0)
-    ax.plot(line, line, color=GRAY, linewidth=1)
-    for name, real, simulated in rows:
-        ax.plot(real, simulated, "o", color=BLUE)
-        ax.annotate(name, (real, simulated), xytext=(5, 4), textcoords="offset points", fontsize=8)
+    for row, m in enumerate(replay.mappers):
+        drawn = [error for error in m.drawn if error is not None]
+        ax.plot(drawn, [row] * len(drawn), "|", color=GRAY)
+        if m.spread is not None:
+            ax.plot((m.spread.low, m.spread.high), (row, row), color=BLUE, linewidth=2)
+        if m.real is not None:
+            ax.plot(m.real, row, "o", color=VERMILLION)
     ax.set_xscale("log")
-    ax.set_yscale("log")
-    plain_axes(ax, "error on the log, m", "error on the simulated logs, m")
-    title(ax, f"{replay.metric}; within a factor of {FACTOR:g}: gray")
+    ax.set_yticks(range(len(replay.mappers)), [m.mapper for m in replay.mappers])
+    ax.invert_yaxis()
+    plain_axes(ax, f"{replay.metric}, m", "")
+    title(ax, "Draws (gray), interval (blue), log (red)")
     return figure
 
 
 def replay_table(replay: Replay | None) -> ReportTable:
-    """Return the mappers' errors on the log and on its simulation."""
-    headings = ("mapper", "log, m", "simulated, m", "ratio", "remark")
+    """Return the interval of each mapper's errors, and its error on the log."""
+    headings = ("mapper", "interval, m", "draws inside", "log, m", "log", "remark")
     if replay is None:
         return ReportTable("replay", "Mappers", "The replay was not requested.", headings, ())
     rows = []
     for m in replay.mappers:
-        lost = sum(status != "ok" for status in m.status[1:])
-        remarks = [f"{m.status[0]} on the log"] if m.status and m.status[0] != "ok" else []
+        lost = sum(status != "ok" for status in m.status[: len(m.drawn)])
+        remarks = [f"{status} on the log" for status in m.status[len(m.drawn) :] if status != "ok"]
         remarks += [f"not ok on {lost} of {len(m.drawn)} simulated logs"] if lost else []
-        values = (NOTHING if v is None else f"{v:.3f}" for v in (m.real, m.simulated))
-        ratio = NOTHING if m.ratio is None else f"{m.ratio:.2f}"
-        rows.append((m.mapper, *values, ratio, m.reason or ", ".join(remarks)))
+        interval = (NOTHING, NOTHING)
+        if m.spread is not None:
+            interval = f"{m.spread.low:.3f} to {m.spread.high:.3f}", m.spread.count
+        real = NOTHING if m.real is None else f"{m.real:.3f}"
+        place = {None: NOTHING, True: "inside", False: "outside"}[m.inside]
+        rows.append((m.mapper, *interval, real, place, m.reason or ", ".join(remarks)))
     caption = (
-        f"{replay.metric}; of the simulated logs the median. They have the path and the fitted noise of "
-        "the log, and objects that the map lacks as the log saw them."
+        f"{replay.metric} on simulated logs. They have the path of the log, noise drawn from the fit's "
+        "intervals, and objects that the map lacks as the log saw them."
     )
     return ReportTable("replay", "Mappers", caption, headings, tuple(rows), remarks=True)

@@ -364,9 +364,10 @@ def compare(scans: LogScans) -> LogComparison:
         moved, found = np.empty_like(poses[~even]), np.empty(int((~even).sum()))
         align(surfaces, scans.ranges[~even], scans.angles, poses[~even], width, moved, found)
         poses[~even], share[~even] = moved, found
+    used = ~even & (share >= LOCALIZED)
+    poses[~even & ~used] = scans.poses[~even & ~used]  # the mapper's, rather than a wrong match
     placed = replace(scans, poses=poses)
     beams = expected_beams(map_of(placed), surfaces, placed)
-    used = ~even & (share >= LOCALIZED)
     with np.errstate(invalid="ignore"):
         residual = scans.ranges - beams.ranges
     return LogComparison(placed, beams, used, beams.flat & used[:, None], residual)

@@ -23,7 +23,14 @@ from lirs_extensions.search.twin.fit import (
     fit_odometry,
     residual_distance,
 )
-from lirs_extensions.search.twin.replay import Replay, place_log, replay_figure, replay_log, replay_table
+from lirs_extensions.search.twin.replay import (
+    DRAWS,
+    Replay,
+    place_log,
+    replay_figure,
+    replay_log,
+    replay_table,
+)
 from lirs_extensions.search.twin.surface import (
     BLOCK,
     CLUSTER,
@@ -37,6 +44,7 @@ from lirs_extensions.search.twin.surface import (
 )
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
+from lirs_validation.logs.read_log import read_truth, truth_in_time
 from lirs_validation.record.metric_catalog import NOTHING
 from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
 from lirs_validation.report.table import ReportTable
@@ -58,6 +66,8 @@ LIMIT = 0.1
 """Largest residual that the picture shows, meters."""
 NEGLIGIBLE = 1e-3
 """Share, meters or radians that are added before log and simulation are compared: less does not count."""
+CAUSES = "loop closures that fail for another reason than noise, wheel slip, slopes"
+"""Causes of errors that no simulation of a log has."""
 
 
 def run_twin(
@@ -67,14 +77,15 @@ def run_twin(
     seed: int,
     out: Path,
     replayed: Sequence[str] = (),
-    draws: int = 1,
+    draws: int = DRAWS,
+    jobs: int = 1,
     command: str = "",
     progress: Progress = no_progress,
 ) -> tuple[TwinResult, Path]:
     """Compare a log with its simulation, fit the noise, and write the result's folder.
 
-    The folder holds twin.html, twin.json, noise.yaml, pictures, and the `draws` simulated logs of a replay,
-    whose truth is the config's relations or reference. The seed is that of noise and bootstrap.
+    The folder holds twin.html, twin.json, noise.yaml, pictures, and the first of a replay's simulated logs.
+    The log's truth is the config's relations or reference. The seed is that of noise and bootstrap.
     """
     make_lidar_preset(lidar)
     check_writable(out)
@@ -90,7 +101,9 @@ def run_twin(
     with atomic_folder(folder) as temporary:
         if replayed:
             path = place_log(mapped, usual, result.real)
-            found = replay_log(config, path, result.noise, replayed, draws, temporary, progress)
+            truth = truth_in_time(read_truth(config), mapped.log.lines)
+            noises = [result.draw_noise(np.random.default_rng((seed, k))) for k in range(draws)]
+            found = replay_log(config, truth, path, noises, replayed, temporary, jobs, progress)
             result = replace(result, replay=found)
         write_json(temporary / "twin.json", result.figures())
         write_noise(temporary / "noise.yaml", result.noise, f"fitted to {result.name}")
@@ -207,6 +220,15 @@ class TwinResult:
         rates = {"rate_sigma": self.odometry.rate_sigma[0], "rate_bias": self.odometry.rate_bias}
         return replace(made, odometry=wheels, imu=replace(made.imu, **rates))
 
+    def draw_noise(self, rng: np.random.Generator) -> SensorNoise:
+        """Return the noise of a random bootstrap sample of the fit."""
+        fitted, wheels = self.fitted, self.odometry
+        fitted = replace(fitted, noise=fitted.samples[rng.integers(len(fitted.samples))])
+        if wheels is not None:
+            scale, rate = ((sigma,) * 3 for sigma in rng.choice(wheels.samples).tolist())
+            wheels = replace(wheels, scale_sigma=scale, rate_sigma=rate)
+        return replace(self, fitted=fitted, odometry=wheels).noise
+
     @property
     def sentences(self) -> tuple[str, ...]:
         """The result in a sentence each: noise, distributions, and the conclusion."""
@@ -216,11 +238,17 @@ class TwinResult:
             f"At {at:.1f} m this lidar's noise is {ours:.1f} mm, that of {self.lidar} {theirs:.1f} mm.",
             "The Kolmogorov distance between real and simulated residuals is "
             f"{self.fitted.distance:.2f} with noise.yaml and {self.distance_before:.2f} with {self.lidar}.",
-            (self.replay or Replay("", ())).sentence,
+            *(self.replay.sentences if self.replay else ()),
             f"What differs most: {self._largest_difference()}.",
-            "Not covered: hills, other places, and what the map lacks, such as people "
+            f"Not covered: {CAUSES}, scans that do not match the map ({100 * self._unmatched:.0f} %), "
+            "and what it lacks, such as people "
             f"({100 * _beam_shares(self.real)['on objects']:.1f} % of the beams).",
         )
+
+    @property
+    def _unmatched(self) -> float:
+        """Share of the odd blocks' scans that do not match the map."""
+        return 1 - float(self.real.used.sum() / (~self.real.scans.even).sum())
 
     def _largest_difference(self) -> str:
         """Return the figure with the largest factor between log and simulation, in words."""
@@ -266,7 +294,7 @@ class TwinResult:
             "by_range": {"real": curve(sample), "simulated": curve(f.simulated)},
             "by_incidence": _by_incidence(self.real),
             "standstill": self.standstill,
-            "odometry": None if self.odometry is None else asdict(self.odometry),
+            "odometry": self.odometry and {k: v for k, v in vars(self.odometry).items() if k != "samples"},
             "replay": None if self.replay is None else self.replay.figures(),
         }
 
@@ -316,7 +344,7 @@ def _by_incidence(real: LogComparison) -> list[dict[str, float]]:
 def write_page(folder: Path, result: TwinResult, command: str) -> None:
     """Write `twin.html` and its pictures."""
     pictures = {"scans": scans_figure(result), "residuals": residual_figure(result.fitted)}
-    if result.replay is not None and result.replay.pairs:
+    if result.replay is not None:
         pictures["replay"] = replay_figure(result.replay)
     drawn = {name: png(drawing) for name, drawing in pictures.items()}
     for name, picture in drawn.items():

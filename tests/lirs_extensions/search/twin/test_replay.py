@@ -1,14 +1,21 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from scipy.stats import kendalltau
 
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.sensing.wheel_odometry import OdometryConfig
 from lirs_extensions.search.twin.fit import fit_odometry, odometry_deviations
-from lirs_extensions.search.twin.replay import Replay, ReplayedMapper, TwinPath, simulate_odometry
+from lirs_extensions.search.twin.replay import (
+    Replay,
+    ReplayedMapper,
+    TwinPath,
+    replay_table,
+    simulate_odometry,
+)
 from lirs_wct.geometry import LaserScan, Pose2, Trajectory
 
 ERRORS = st.floats(0.001, 100.0)
@@ -71,19 +78,23 @@ def test_odometry_errors_of_log_and_simulation_are_compared() -> None:
     assert odometry_deviations(poses[:200], poses[:200]) is None
 
 
-@given(st.lists(st.tuples(ERRORS, ERRORS), min_size=3, max_size=8))
-def test_order_and_size_of_errors_are_compared(pairs: list[tuple[float, float]]) -> None:
-    mappers = tuple(ReplayedMapper(str(k), real, (twin,)) for k, (real, twin) in enumerate(pairs))
-    replay = Replay("ATE", (*mappers, ReplayedMapper("without odometry", reason="needs it")))
-    tau = kendalltau(*zip(*pairs, strict=True)).statistic
-    assert replay.tau == (None if np.isnan(tau) else pytest.approx(tau))
-    near = [str(k) for k, (real, twin) in enumerate(pairs) if abs(np.log2(real / twin)) <= 1]
-    assert (f"close enough to trust a verdict on {', '.join(near)}: errors agree" in replay.sentence) == bool(
-        near
+@given(st.lists(ERRORS, min_size=3, max_size=40), ERRORS)
+def test_an_error_on_the_log_is_inside_the_interval_or_not(drawn: list[float], real: float) -> None:
+    mapper = ReplayedMapper("hector", real, tuple(drawn))
+    spread, text = mapper.spread, mapper.sentence("ATE")
+    assert spread is not None
+    assert mapper.inside == (spread.low <= real <= spread.high)
+    assert f"{spread.low:.3f} and {spread.high:.3f} m in {spread.count} draws" in text
+    assert text.endswith("m: inside." if mapper.inside else "m: outside.")
+    assert sum(low < spread.low for low in drawn) == sum(high > spread.high for high in drawn) or (
+        len(set(drawn)) < len(drawn)
     )
-    assert ("not on" in replay.sentence or "not close enough" in replay.sentence) == (len(near) < len(pairs))
-    assert replay.sentence.count("x the log's)") == len(pairs) - len(near)
+    unknown = replace(mapper, real=None)
+    assert unknown.inside is None
+    assert unknown.sentence("ATE").endswith("draws.")
 
 
-def test_without_a_mapper_nothing_is_known() -> None:
-    assert "not yet known to be close enough" in Replay("ATE", ()).sentence
+def test_a_mapper_without_errors_says_why() -> None:
+    text = Replay("ATE", (ReplayedMapper("gmapping", reason="needs odometry"),)).sentences[0]
+    assert text == "gmapping has no error in the simulation: needs odometry."
+    assert replay_table(Replay("ATE", (ReplayedMapper("gmapping"),))).rows[0][1:5] == ("-",) * 4

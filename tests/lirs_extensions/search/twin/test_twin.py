@@ -24,7 +24,7 @@ from lirs_extensions.search.twin.surface import (
     compare,
     fit_surfaces,
 )
-from lirs_extensions.search.twin.twin import _beam_shares, standstill
+from lirs_extensions.search.twin.twin import TwinResult, _beam_shares, standstill
 from lirs_validation.cli import app as cli
 from lirs_validation.cli.command import PROGRAM
 from lirs_wct.arrays import FloatArray
@@ -86,6 +86,10 @@ def test_planted_noise_is_recovered(
     assert fitted.noise.quantization == 0.01
     assert fitted.distance < 0.05
     assert fitted.low.dropout < fitted.noise.dropout < fitted.high.dropout
+    result = TwinResult("room", "lms100", real, fitted, 1.0, None, None, len(scans.poses))
+    drawn = [result.draw_noise(np.random.default_rng(k)).lidar for k in range(40)]
+    assert set(drawn) <= set(fitted.samples)
+    assert len(set(drawn)) > 5, "noise has the fit's uncertainty"
 
 
 def test_without_noise_the_residuals_are_the_maps() -> None:
@@ -223,9 +227,8 @@ def test_the_command_writes_page_figures_and_preset(tmp_path: Path, monkeypatch:
     for name, value in {"ROUNDS": 2, "LEAST_SCANS": 1}.items():
         monkeypatch.setattr(f"lirs_extensions.search.twin.fit.{name}", value)
     log = str(ROOT / "examples" / "data" / "office.clf.gz")
-    result = CliRunner().invoke(
-        PROGRAM, ["twin", log, "-o", str(tmp_path), "--replay", "hector,cartographer", "--draws", "2"]
-    )
+    arguments = ("twin", log, "--draws", "3")
+    result = CliRunner().invoke(PROGRAM, [*arguments, "-o", str(tmp_path)])
     assert result.exit_code == 0, result.output
     (folder,) = (path for path in tmp_path.iterdir() if path.is_dir())
     figures = json.loads((folder / "twin.json").read_text())
@@ -233,10 +236,11 @@ def test_the_command_writes_page_figures_and_preset(tmp_path: Path, monkeypatch:
     for sentence in figures["sentences"]:
         assert sentence in result.output
         assert sentence in unescape(page)
-    assert figures["sentences"][2].startswith(
-        "The simulation of this lidar is close enough to trust a verdict on "
+    assert re.match(
+        "On this log's noise, cartographer's ATE is .* m in all 3 draws.$", figures["sentences"][2]
     )
     assert "What differs most: " in figures["sentences"][3]
+    assert "Not covered: loop closures that fail" in figures["sentences"][4]
     assert f"next: lirs-wct validate medium --noise {folder / 'noise.yaml'}" in result.output.replace(
         "\n", ""
     )
@@ -247,7 +251,21 @@ def test_the_command_writes_page_figures_and_preset(tmp_path: Path, monkeypatch:
     assert noise.odometry.scale_bias == figures["odometry"]["scale"]
     assert page.count("data:image/png") == 3
     assert (folder / "scans.png").stat().st_size > 10_000
-    rows = figures["replay"]["mappers"]
-    assert [(row["mapper"], len(row["simulated"])) for row in rows] == [("hector", 2), ("cartographer", 2)]
-    # The log is a simulated drive: its simulation cannot differ by much.
-    assert all(row["real"] < 0.2 and max(row["simulated"]) < 0.2 for row in rows)
+    (row,) = figures["replay"]["mappers"]
+    assert (row["mapper"], row["real"], row["inside"]) == ("cartographer", None, None)
+    assert row["status"] == ["ok"] * 3
+    assert row["interval"] == {
+        **{"inside": 3, "total": 3, "low": min(row["simulated"]), "high": max(row["simulated"])}
+    }
+    assert [path.name for path in folder.glob("simulated-*")] == ["simulated-1.clf.gz"]
+
+    # Several processes change nothing; with a truth, the error on the log is compared.
+    known = ("--reference", str(folder / "truth.tum"), "--replay", "cartographer,hector", "--jobs", "2")
+    result = CliRunner().invoke(PROGRAM, [*arguments, *known, "-o", str(tmp_path / "known")])
+    assert result.exit_code == 0, result.output
+    assert "; on the log it is " in result.output
+    (folder,) = (tmp_path / "known").iterdir()
+    same, hector = json.loads((folder / "twin.json").read_text())["replay"]["mappers"]
+    assert same["simulated"] == row["simulated"]
+    assert same["inside"] == (min(row["simulated"]) <= same["real"] <= max(row["simulated"]))
+    assert len(set(hector["simulated"])) == 3
