@@ -133,7 +133,7 @@ def _tune_target(
     *("range_max", "scan_topic", "odom_topic", "seed"),
 )
 def twin(options: TwinCommand, given: Annotated[dict[str, Any], MapConfig]) -> None:
-    """Compare a log with its simulation: noise.yaml for --noise, and the interval of a mapper's error.
+    """Compare a log with its simulation: noise.yaml for --noise, and a mapper's error.
 
     Examples:
     lirs-wct twin examples/data/office.clf.gz -o out/

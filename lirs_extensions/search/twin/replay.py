@@ -86,7 +86,7 @@ class ReplayedMapper:
 
     @property
     def inside(self) -> bool | None:
-        """Whether the error on the log lies in the interval; None where one of them is unknown."""
+        """Whether the log's error lies in the interval; None where one is unknown."""
         spread = self.spread
         return None if spread is None or self.real is None else spread.low <= self.real <= spread.high
 
@@ -313,7 +313,7 @@ def _relations_on(
 
 
 def replay_figure(replay: Replay) -> Drawing:
-    """Draw each mapper's errors on the simulated logs, their interval, and its error on the log."""
+    """Draw each mapper's errors on the simulated logs, their interval and the log's error."""
     figure = new_figure(6.5, 1.2 + 0.45 * len(replay.mappers))
     ax = figure.subplots()
     for row, m in enumerate(replay.mappers):
