@@ -95,13 +95,11 @@ def run(
         ).record
     except WctError as error:
         return {"status": f"failed: {error}"}
-    weak = record.mapper["weak_directions"][1:]
     return {
         "status": record.status,
         "length": record.trajectory["length"],
         "ate": record.trajectory["ate_rmse_3d"],
         "reference": record.trajectory["odometry_ate_rmse_3d"],
-        "weak": sum(map(int, weak)) / len(weak) if weak else None,
         "ms": record.mapper["ms_p50"],
         "ms_p95": record.mapper["ms_p95"],
     }
@@ -115,7 +113,6 @@ def table(rows: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
         row = {"world": world, "kind": kind, "mapper": mapper, "ok": f"{len(done)} of {len(mine)}"}
         row |= {f"{key} [m]": spread([r[key] for r in done]) for key in ("reference", "ate")}
         row["ATE / reference"] = spread([r["ate"] / r["reference"] for r in done])
-        row["weak"] = float(np.mean([r["weak"] for r in done])) if done and mapper == "wheel_lio" else None
         yield row | {"ms": float(np.median([r["ms"] for r in done])) if done else None}
 
 

@@ -29,7 +29,7 @@ from lirs_wct.geometry import (
     relative_poses,
     wrap_angles,
 )
-from slam_baselines.dead_reckoning import PoseEstimate
+from slam_baselines.dead_reckoning import PoseEstimate, moved_covariance
 from slam_baselines.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints, interpolate_hits
 from slam_baselines.monitors import MonitorConfig, Monitors
@@ -91,11 +91,85 @@ class Keyframe:
     min_slopes: ByteArray
 
 
+GYRO_BIAS = math.radians(0.02)
+"""Standard deviation of the constant error of a gyro that was zeroed at rest, rad/s."""
+ANCHOR_REACH = 0.5
+"""Distance up to which a scan is matched to what a keyframe drew, in ranges of the keyframe's view."""
+
+
+class DriftCovariance:
+    """Covariance of `T_map_base` with the errors of the map itself.
+
+    A match places a scan in what an earlier keyframe drew, and so with that keyframe's error. Dead reckoning
+    adds its variances; a match removes only what exceeds the covariance of the earliest keyframe in view, its
+    anchor, and of the place of a wall in the map.
+
+    Attributes:
+        covariance: (3, 3) of x, y, yaw in the map frame, meters and radians.
+        first: Index of the first keyframe in the map that scans are matched to.
+    """
+
+    def __init__(self, deviation: float) -> None:
+        """Start at the origin of a map that places walls with a standard deviation, meters."""
+        self.covariance: FloatArray = np.zeros((3, 3))
+        self._deviation, self._blind, self.first = deviation, 0.0, 0
+        self._keyframes = np.empty((0, 3))  # x, y, range of the view
+        self._covariances: list[FloatArray] = []
+
+    def move(self, dx: float, dy: float, noise: FloatArray, seconds: float) -> None:
+        """Add the noise (3, 3) of a step in the map frame, and the gyro's bias."""
+        self.covariance = moved_covariance(self.covariance, dx, dy, 0.0, 0.0) + noise
+        self.covariance[2, 2] += GYRO_BIAS**2 * seconds * (2 * self._blind + seconds)
+        self._blind += seconds
+
+    def match(self, pose: Pose2, prior: FloatArray, matched: FloatArray, hits: FloatArray) -> None:
+        """Remove the error that a match to `pose` corrects.
+
+        The covariances (3, 3) before and after it are relative to the map. Hits (n, 2 or more) are ends of
+        beams in the base frame, meters.
+        """
+        if len(self._covariances) <= self.first or not len(hits):
+            return
+        x, y, view = self._keyframes[self.first :].T
+        near = np.hypot(x - pose.x, y - pose.y) <= ANCHOR_REACH * view
+        anchor = self.first + int(near.argmax()) if near.any() else -1
+        x, y, _ = self._keyframes[anchor]
+        floor = moved_covariance(self._covariances[anchor], pose.x - x, pose.y - y, 0.0, 0.0)
+        floor += self._deviation**2 * np.diag((1.0, 1.0, view_range(hits) ** -2))
+        shares, axes = common_axes(matched, prior)
+        inverse = np.linalg.inv(axes)
+        information = (inverse.T * np.maximum(1 / np.maximum(shares, 1e-12) - 1, 0.0)) @ inverse
+        shares, axes = common_axes(self.covariance, floor)
+        excess = (axes * np.maximum(shares - 1, 0.0)) @ axes.T
+        left = excess @ np.linalg.inv(np.eye(3) + information @ excess)
+        if excess[2, 2] > 0:
+            self._blind *= math.sqrt(min(max(left[2, 2] / excess[2, 2], 0.0), 1.0))
+        self.covariance = (axes * np.minimum(shares, 1.0)) @ axes.T + (left + left.T) / 2
+
+    def add_keyframe(self, pose: Pose2, hits: FloatArray) -> None:
+        """Note a scan that enters the map with the present covariance."""
+        self._keyframes = np.vstack((self._keyframes, (pose.x, pose.y, view_range(hits))))
+        self._covariances.append(self.covariance)
+
+
+def view_range(hits: FloatArray) -> float:
+    """Return the root mean square distance of hits (n, 2 or more), at least .1 m."""
+    return max(float(np.linalg.norm(hits[:, :2])) / math.sqrt(max(len(hits), 1)), 0.1)
+
+
+def common_axes(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return shares (3,) and axes X (3, 3) of b = X X' and a = X diag(shares) X'."""
+    L = np.linalg.cholesky(b)
+    shares, turn = np.linalg.eigh(np.linalg.solve(L, np.linalg.solve(L, a).T))
+    return shares, L @ turn
+
+
 class FrontEnd:
     """Pose of the latest scan by dead reckoning and by believed matches.
 
     Attributes:
-        estimate: `T_map_base` and its covariance.
+        estimate: `T_map_base` and its covariance relative to the map.
+        drift: Covariance of `T_map_base` with the map's own errors.
         matched: Scans with a match.
         unmatched: Scans with too few walls in view.
         path: Poses of the keyframes.
@@ -103,10 +177,13 @@ class FrontEnd:
         stamp: Time of the last scan, seconds.
     """
 
-    def __init__(self, config: MonitorConfig, clear_range: float, max_range: float) -> None:
+    def __init__(
+        self, config: MonitorConfig, clear_range: float, max_range: float, resolution: float
+    ) -> None:
         self.leveler = ScanLeveler(clear_range, max_range)
         self.monitors = Monitors(config)
         self.estimate = PoseEstimate(Pose2(), np.zeros((3, 3)))
+        self.drift = DriftCovariance(resolution / math.sqrt(12))  # a wall lies anywhere in its cell
         self.matched = self.unmatched = 0
         self.path: list[Pose2] = []
         self.scans = KeyframeTrajectory()
@@ -128,8 +205,18 @@ class FrontEnd:
                 self.monitors.observe_match(score, float(yaw), seconds)
             self.matched += match is not None
             self.unmatched += match is None
-        self.estimate = estimate if self.monitors.localizability.believed else prior
+        before, self.estimate = self.estimate, estimate if self.monitors.localizability.believed else prior
+        dx, dy = prior.pose.x - before.pose.x, prior.pose.y - before.pose.y
+        noise = prior.covariance - moved_covariance(before.covariance, dx, dy, 0.0, 0.0)
+        self.drift.move(dx, dy, noise, max(seconds, 0.0) if self.path else 0.0)
+        if self.estimate is not prior:
+            self.drift.match(self.estimate.pose, prior.covariance, self.estimate.covariance, scan.hits)
         return self.monitors.observe_fit(score, known)
+
+    def add_keyframe(self, scan: LeveledScan, pose: Pose2) -> None:
+        """Add a scan that enters the map to the path."""
+        self.path.append(pose)
+        self.drift.add_keyframe(pose, scan.hits)
 
     def replace_start(self, keyframes: Sequence[Keyframe]) -> None:
         """Correct path and estimate by the refined keyframes of the start."""

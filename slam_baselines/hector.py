@@ -83,7 +83,7 @@ class HectorMapper(PlanarMapper):
     def __init__(self, config: HectorConfig | None = None) -> None:
         super().__init__()
         self.config = c = config or HectorConfig()
-        self.front = FrontEnd(c, c.laser_clear_dist, c.laser_max_dist)
+        self.front = FrontEnd(c, c.laser_clear_dist, c.laser_max_dist, c.map_resolution)
         self.reckoning = DeadReckoning(c, c)
         self._builder = MapBuilder(c)
         self._registration = Registration(c, ScanMatcher(c.match_iterations))
@@ -105,7 +105,8 @@ class HectorMapper(PlanarMapper):
             )
             self._earlier = before
         fits = front.monitor(level, prior, estimate, match)
-        self.lost, pose = front.monitors.tracking.lost, front.estimate.pose
+        self.lost, self.covariance = front.monitors.tracking.lost, front.drift.covariance
+        pose = front.estimate.pose
         registered = self._calibrate(level, match, before)
         builder.move_base(level, before.inverse() @ pose, registered=registered)
         if fits and builder.motion_filter.due(level, pose):
@@ -150,7 +151,7 @@ class HectorMapper(PlanarMapper):
         """Update all levels of the map by a scan; refine the start when due."""
         front, builder = self.front, self._builder
         min_slopes, height = builder.enter(scan, pose), builder.ground_filter.height
-        front.path.append(pose)
+        front.add_keyframe(scan, pose)
         keyframe = HectorKeyframe(scan, pose, height, min_slopes, tuple(self._motion))
         self._motion.clear()
         if self._start.add(keyframe, builder.ground_filter.distance_traveled):

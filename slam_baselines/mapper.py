@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Protocol, TypeGuard
 import numpy as np
 
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, PointCloud, Pose2, Pose3, Trajectory
+from lirs_wct.geometry import FloatArray, Imu, LaserScan, OccupancyGrid, PointCloud, Pose2, Pose3, Trajectory
 
 
 class Method(NamedTuple):
@@ -162,8 +162,6 @@ class MapperStats:
         ms_max: Longest wall time of an update.
         memory: Bytes of its maps.
         counts: Other counts of the method (searches, map updates, particles, constraints).
-        weak_directions: A digit per scan, 0 to 6: directions of motion that it did not constrain, and that
-            other sensors decided. Empty = the method does not tell.
     """
 
     received: int = 0
@@ -175,7 +173,6 @@ class MapperStats:
     ms_max: float = 0.0
     memory: int = 0
     counts: Mapping[str, int] = field(default_factory=dict)
-    weak_directions: str = ""
 
 
 class Estimator(Protocol):
@@ -199,8 +196,10 @@ class Estimator(Protocol):
 class Mapper(Estimator, Protocol):
     """Simultaneous localization and mapping; the map frame is the first base pose.
 
-    Attitude and odometry are used where they are given. The optional attribute `requires_odometry` says that
-    scans without odometry are refused.
+    Attitude and odometry are used where they are given. Two attributes are optional. `requires_odometry` says
+    that scans without odometry are refused. `covariance` after `update`, (3, 3) or None, is that of the error
+    of the returned `T_map_base` since the start: x and y in the axes of the map frame, meters, and yaw,
+    radians. A mapper of point clouds gives that of its pose in the plane.
     """
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
@@ -400,12 +399,14 @@ class PlanarMapper(ABC):
         requires_odometry: Whether scans without odometry are refused.
         received: Scans so far.
         lost: Whether the pose is unknown; set by `process`.
+        covariance: (3, 3) of `T_map_base`, see `Mapper`; set by `process`, None = not known.
         lost_scans: Scans during which the pose was unknown.
     """
 
     name = ""
     requires_odometry = False
     lost = False
+    covariance: FloatArray | None = None
 
     def __init__(self) -> None:
         self.received = self.lost_scans = 0

@@ -17,8 +17,9 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_validation.driving.path_driver import Frame
 from lirs_validation.experiment.lost_rule import LostRule
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest
+from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest
 from lirs_validation.metrics.elevation import CloudSample
+from lirs_validation.metrics.trajectory import inside_95
 from lirs_validation.record.run_record import Status
 from lirs_wct import BoolArray, FloatArray, Imu, LaserScan, Pose2, Pose3, SimulationError, Trajectory
 from slam_baselines.dead_reckoning import spatial_odometry
@@ -76,7 +77,7 @@ def drive(
     # The first scan comes before anything moves: no simulated time passes.
     observation = simulation.reset(driver.start)
     T_world_base, estimate = simulation.pose(), mapper.observe(observation)
-    _add(log, observation, simulation, T_world_base, estimate.pose, recorder)
+    _add(log, observation, simulation, T_world_base, estimate, recorder)
     yield 0.0
     for tick in range(1, ticks + 1):
         begun, time_driven, command = time.perf_counter(), (tick - 1) * period - stand, Twist()
@@ -95,7 +96,7 @@ def drive(
         estimate = mapper.observe(observation)
         tracking.observe(observation.scan.stamp, estimate.lost)
         log.commands.append(command)
-        _add(log, observation, simulation, T_world_base, estimate.pose, recorder)
+        _add(log, observation, simulation, T_world_base, estimate, recorder)
         log.mapper_seconds.append(estimate.seconds)
         log.tick_seconds.append(time.perf_counter() - begun)
         spent += log.tick_seconds[-1]
@@ -119,14 +120,14 @@ def _add(
     observation: Observation,
     simulation: Simulation,
     T_world_base: Pose3,
-    estimate: Pose2 | Pose3,
+    estimate: Estimate,
     recorder: Recorder | None,
 ) -> None:
     """Log a mapped observation with the truth, and hand it to the recorder."""
     masks = (simulation.walker_beams, simulation.walker_points) if simulation.config.actors else (None, None)
-    log.add(observation, T_world_base, estimate, *masks)
+    log.add(observation, T_world_base, estimate.pose, *masks, covariance=estimate.covariance)
     if recorder is not None:
-        recorder(observation, T_world_base, log.in_plane(estimate))
+        recorder(observation, T_world_base, log.in_plane(estimate.pose))
 
 
 def planar(pose: Pose2 | Pose3) -> Pose2:
@@ -200,6 +201,7 @@ class DriveLog:
         walker_beams: Masks of each scan's beams that met a walker; empty without walkers.
         truth: `T_world_base`, from the simulator.
         estimates: `T_map_base`, the mapper's online answers, in the plane or in space.
+        covariances: (3, 3) each of x, y, yaw of the estimates; None where the mapper gave none.
         commands: Commands of the driver, one per tick: after the first observation, the second, ...
         final_trajectory: Trajectory of the mapper in its map frame after the drive; None while it lasts.
         tick_seconds: Wall-clock seconds of each tick.
@@ -218,6 +220,7 @@ class DriveLog:
     walker_beams: list[BoolArray] = field(default_factory=list)
     truth: PackedList[Pose3] = field(default_factory=_pack_as(Pose3, "x", "y", "z", "qw", "qx", "qy", "qz"))
     estimates: list[Pose2 | Pose3] = field(default_factory=list)
+    covariances: list[FloatArray | None] = field(default_factory=list)
     commands: PackedList[Twist] = field(default_factory=_pack_as(Twist, "v", "omega", "climb"))
     final_trajectory: Trajectory | None = None
     tick_seconds: list[float] = field(default_factory=list)
@@ -235,6 +238,7 @@ class DriveLog:
         estimate: Pose2 | Pose3,
         walker_beams: BoolArray | None = None,
         walker_points: BoolArray | None = None,
+        covariance: FloatArray | None = None,
     ) -> None:
         """Append an observation and its true pose, and the mapper's estimate.
 
@@ -252,6 +256,7 @@ class DriveLog:
             self.walker_beams.append(walker_beams)
         self.truth.append(T_world_base)
         self.estimates.append(estimate)
+        self.covariances.append(covariance)
 
     def end(self, status: Status, reason: str) -> None:
         """End the drive."""
@@ -282,6 +287,15 @@ class DriveLog:
     def online(self) -> Trajectory:
         """Return the mapper's online estimates in the map frame."""
         return Trajectory.from_poses(self.stamps, self.estimates)
+
+    def inside_95(self) -> float | None:
+        """Return the share of online positions within their claimed 95 % ellipse; None without any."""
+        T_start_world = self.truth[0].to_pose2().inverse()
+        return inside_95(
+            np.array([(T_start_world @ T.to_pose2()).as_array() for T in self.truth]),
+            np.array([self.in_plane(T).as_array() for T in self.estimates]),
+            self.covariances,
+        )
 
     def spatial_odometry(self) -> Trajectory:
         """Return dead reckoning in space by wheels, gyro and gravity, world frame."""

@@ -159,6 +159,7 @@ def evaluate_trajectory(log: DriveLog, simulation: Simulation) -> dict[str, Any]
     online = log.online().moved(log.T_world_map)
     return errors | {
         "ate_rmse_online": trajectory_errors(truth, online).ate_rmse,
+        "inside_95": log.inside_95(),
         "odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse,
         **driven,
     }

@@ -21,9 +21,11 @@ import numpy as np
 
 from lirs_validation.config import DRIVERS, Attitude, MapConfig, RunConfig, driver_parts
 from lirs_validation.experiment.loading import interpreter_of, own_mapper, versions_there
+from lirs_validation.metrics.trajectory import COVARIANCE, is_covariance
 from lirs_validation.processes import ChildProcess, Cost, CostMeter, is_interrupt
 from lirs_wct import (
     ConfigError,
+    FloatArray,
     Imu,
     ImuReadings,
     LaserScan,
@@ -87,11 +89,13 @@ class Estimate:
         pose: `T_map_base`, in the plane or in space.
         lost: Whether the mapper does not know its place.
         seconds: Wall-clock time of its update.
+        covariance: (3, 3) of x, y, yaw of the pose in the plane; None where the mapper gives none.
     """
 
     pose: Pose2 | Pose3
     lost: bool
     seconds: float
+    covariance: FloatArray | None = None
 
 
 class MapperUnderTest(Protocol):
@@ -169,7 +173,7 @@ class LocalMapper:
             lost = bool(self._mapper.lost)
         except BaseException as error:
             self._raise_failure("lost", error)
-        return Estimate(pose, lost, seconds)
+        return Estimate(pose, lost, seconds, self._covariance(where))
 
     def map(self) -> OccupancyGrid:
         """Return the mapper's map."""
@@ -196,6 +200,18 @@ class LocalMapper:
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
+
+    def _covariance(self, where: str) -> FloatArray | None:
+        """Return a copy of the optional covariance, checked."""
+        try:
+            covariance = getattr(self._mapper, "covariance", None)
+            given = None if covariance is None else np.array(covariance, dtype=np.float64)
+        except BaseException as error:
+            self._raise_failure("covariance", error, f" {where}")
+        if given is not None and not is_covariance(given):
+            text = " ".join(np.array2string(given, threshold=9, precision=3).split())
+            raise MapperError(f"covariance must be {COVARIANCE}, or None, got {text} {where}")
+        return given
 
     def _ask(self, part: str, kind: type[T], required: str) -> T:
         """Return the result of a method or property, of a required type."""

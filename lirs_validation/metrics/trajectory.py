@@ -9,7 +9,7 @@ al., "On measuring the accuracy of SLAM algorithms" (Autonomous Robots 2009).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,6 +126,39 @@ class ErrorSpread:
     def count(self) -> str:
         """Number of drives inside, as in `8 of 10`."""
         return f"{self.inside} of {self.total}" if self.inside < self.total else f"all {self.total}"
+
+
+COVARIANCE = "3 x 3, finite, symmetric and positive semidefinite"
+"""Requirement on a covariance of x, y, yaw."""
+CHI2_95 = 5.991
+"""95 % quantile of the squared Mahalanobis distance in the plane, -2 log .05."""
+ROUNDING = 1e-9
+"""Variance that an estimate has by its numbers alone, square meters."""
+
+
+def is_covariance(matrix: FloatArray) -> bool:
+    """Return whether a matrix is a covariance of x, y, yaw."""
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        return False
+    tolerance = ROUNDING * max(1.0, float(abs(matrix).max()))
+    symmetric = abs(matrix - matrix.T).max() <= tolerance
+    return bool(symmetric and np.linalg.eigvalsh(matrix)[0] >= -tolerance)
+
+
+def inside_95(
+    truth: FloatArray, estimate: FloatArray, covariances: Sequence[FloatArray | None]
+) -> float | None:
+    """Return the share of planar positions within their claimed 95 % ellipse.
+
+    Poses (n, 3) are in one frame, covariances (3, 3) of x, y, yaw in its axes. Those without one do not
+    count; None if all are.
+    """
+    claimed = [k for k, covariance in enumerate(covariances) if covariance is not None]
+    if not claimed:
+        return None
+    variances, axes = np.linalg.eigh(np.array([covariances[k] for k in claimed])[:, :2, :2])
+    errors = np.einsum("nij,ni->nj", axes, (estimate - truth)[claimed, :2])
+    return float(np.mean((errors**2 / np.maximum(variances, ROUNDING)).sum(axis=1) <= CHI2_95))
 
 
 @dataclass(frozen=True, kw_only=True)

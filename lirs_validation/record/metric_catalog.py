@@ -130,6 +130,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("trajectory.rotation_rmse_3d", "attitude error", "trajectory", "deg", 3, DEGREES, "less",
            detail=True),
     Metric("trajectory.ate_rmse_online", "ATE online", "trajectory", "m", better="less", detail=True),
+    Metric("trajectory.inside_95", "errors in 95 % ellipse", "trajectory", "%", 0, PERCENT, tested=False),
     Metric("trajectory.yaw_rmse", "yaw error", "trajectory", "deg", 3, DEGREES, "less", detail=True),
     Metric("trajectory.final_yaw_drift", "final yaw drift", "trajectory", "deg", 3, DEGREES, "less",
            detail=True),

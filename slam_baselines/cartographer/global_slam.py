@@ -7,6 +7,7 @@ searches and at most one step of an optimization; its result is applied when it 
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from copy import copy, deepcopy
 from dataclasses import dataclass
@@ -127,6 +128,7 @@ class GlobalSlam:
         events: Closed loops, for users.
         trimmed: Number of submaps trimmed.
         optimizations: Number of optimizations applied.
+        looped: Index of the first node of the earliest submap in a loop that was optimized.
     """
 
     def __init__(self, config: CartographerConfig, local: LocalSlam) -> None:
@@ -140,6 +142,7 @@ class GlobalSlam:
         self.loops: list[LoopConstraint] = []
         self.events: list[LoopEvent] = []
         self.optimizations = self.trimmed = 0
+        self.looped = sys.maxsize
         self.trimmer = Trimmer(config)
         self._local = local
         self._verification = LoopVerification(config)
@@ -350,6 +353,7 @@ class GlobalSlam:
         self._optimized_at = len(solution.nodes), self._loops_at_start
         for loop in self.loops[loops : self._loops_at_start]:
             self._constrained_at[loop.submap].append(self.nodes[loop.node].distance_traveled)
+            self.looped = min(self.looped, self._local.submaps.all[loop.submap].nodes[0])
         poses = [Pose2(*p) for p in solution.nodes.tolist()]
         self.T_map_local = poses[-1] @ self.nodes[len(poses) - 1].pose.inverse()
         self.poses = poses + [self.T_map_local @ node.pose for node in self.nodes[len(poses) :]]

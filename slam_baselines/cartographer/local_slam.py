@@ -13,7 +13,7 @@ import numpy as np
 from lirs_wct.geometry import ByteArray, FloatArray, Imu, LaserScan, Pose2, wrap_angle
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.submap import Submaps
-from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate
+from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate, in_axes_of, moved_covariance
 from slam_baselines.front_end import FrontEnd, Keyframe, MotionFilter, StartUp
 from slam_baselines.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.leveling import LeveledScan, ScanPoints, interpolate_hits
@@ -68,11 +68,8 @@ class Node(Keyframe):
 def compose_estimates(first: PoseEstimate, then: PoseEstimate) -> PoseEstimate:
     """Return `first @ then`; the errors of the two are independent."""
     pose = first.pose @ then.pose
-    c, s = math.cos(first.pose.yaw), math.sin(first.pose.yaw)
-    R = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
-    G = np.eye(3)
-    G[0, 2], G[1, 2] = first.pose.y - pose.y, pose.x - first.pose.x
-    return PoseEstimate(pose, G @ first.covariance @ G.T + R @ then.covariance @ R.T)
+    moved = moved_covariance(first.covariance, pose.x - first.pose.x, pose.y - first.pose.y, 0.0, 0.0)
+    return PoseEstimate(pose, moved + in_axes_of(first.pose.inverse(), then.covariance))
 
 
 class LocalSlam:
@@ -83,7 +80,7 @@ class LocalSlam:
 
     def __init__(self, config: CartographerConfig) -> None:
         self._config = c = config
-        self.front = FrontEnd(c, c.clear_range, c.max_range)
+        self.front = FrontEnd(c, c.clear_range, c.max_range, c.resolution)
         self.ground_filter = GroundFilter(c)
         self.submaps = Submaps(c)
         self.registration = Registration(c, ScanMatcher(exact=True))
@@ -166,7 +163,7 @@ class LocalSlam:
             front.monitors.localizability.believed, entered, ground.distance_traveled,
             ground.drift, ground.tilt, self._distance_traveled,
         )  # fmt: skip
-        front.path.append(pose)
+        front.add_keyframe(scan, pose)
         refined = self._refine(self.start.keyframes) if self.start.add(node, ground.distance_traveled) else []
         if not refined:
             return [node], False

@@ -20,6 +20,7 @@ from lirs_wct.geometry import FloatArray, Imu, LaserScan, OccupancyGrid, Pose2, 
 from slam_baselines.cartographer.branch_and_bound import BoundGrids, Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate
+from slam_baselines.front_end import view_range
 from slam_baselines.leveling import LeveledScan, ScanLeveler, voxel_filter
 from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.monitors import TrackingMonitor
@@ -136,6 +137,10 @@ class CartographerLocalizer(PlanarMapper):
             self.lost = self._tracking.lost
         self._distance_traveled += before.distance(self._estimate.pose)
         self._track[scan.stamp] = self._estimate.pose
+        if self._anchored:
+            wall = self._known.grid.resolution**2 / 12  # a wall lies anywhere in its cell
+            floor = wall * np.diag((1.0, 1.0, view_range(level.hits) ** -2))
+            self.covariance = self._estimate.covariance + floor
         return self._estimate.pose
 
     def map(self) -> OccupancyGrid:

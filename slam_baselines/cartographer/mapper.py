@@ -14,6 +14,7 @@ from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.local_slam import LocalSlam, Node
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
 from slam_baselines.cartographer.loop_closure import LoopEvent
+from slam_baselines.dead_reckoning import in_axes_of
 from slam_baselines.ground_filter import GroundFilter
 from slam_baselines.mapper import Mapper, MapperStats, PlanarMapper
 from slam_baselines.occupancy_map import NO_WALL, OccupancyMap, bounding_box
@@ -59,7 +60,11 @@ class CartographerMapper(PlanarMapper):
         for node in nodes:
             self._graph.add_node(node)
         self._graph.run_work_share()
-        return self._graph.T_map_local @ self.local.front.estimate.pose
+        front, T_map_local = self.local.front, self._graph.T_map_local
+        if front.path:
+            front.drift.first = min(self.local.submaps.matching_submap.nodes[0], self._graph.looped)
+        self.covariance = in_axes_of(T_map_local.inverse(), front.drift.covariance)
+        return T_map_local @ front.estimate.pose
 
     def map(self) -> OccupancyGrid:
         """Return the map of all nodes at their optimized poses (see LocalizabilityMonitor.draws)."""

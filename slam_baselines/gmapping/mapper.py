@@ -13,9 +13,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lirs_wct.geometry import ByteArray, Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
+from lirs_wct.geometry import (
+    ByteArray,
+    FloatArray,
+    Imu,
+    LaserScan,
+    OccupancyGrid,
+    Pose2,
+    Trajectory,
+    wrap_angle,
+)
 from slam_baselines.dead_reckoning import PoseEstimate, in_axes_of
-from slam_baselines.front_end import Keyframe, StartUp
+from slam_baselines.front_end import DriftCovariance, Keyframe, StartUp
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.motion import GyroBias, GyroBiasConfig, MotionIncrement, propagate, remove_bias
@@ -194,7 +203,9 @@ class GmappingMapper(PlanarMapper):
         self._start = StartUp[GmappingKeyframe](c)
         self._registration = BiasedRegistration(self._filter.proposer, self.ground_filter, c)
         self._bias = GyroBias.unknown(c)
-        self._spacing = 0.0
+        self._drift = DriftCovariance(c.delta / math.sqrt(12))
+        self._fit: tuple[FloatArray, FloatArray] | None = None
+        self._spacing, self._stamp = 0.0, math.inf
 
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Follow the odometry; after enough motion, make the scan a generation of the filter."""
@@ -214,7 +225,7 @@ class GmappingMapper(PlanarMapper):
                 self._insert(level, reckoned, seconds)
             particles.resample_if_due()
         particles.tree.add_scan(scan.stamp, motion.pose)
-        self.lost = self._monitors.tracking.lost
+        self.lost, self.covariance = self._monitors.tracking.lost, self._drift.covariance
         return self._pose
 
     def map(self) -> OccupancyGrid:
@@ -262,7 +273,10 @@ class GmappingMapper(PlanarMapper):
 
     def _follow(self, scan: LeveledScan, odometry: Pose2 | None, imu: Imu | None) -> None:
         """Add the odometry to the motion since the last processed scan."""
-        delta = self._increment.add_odometry(odometry, imu, scan.stamp)
+        before, seconds = self._pose, max(scan.stamp - self._stamp, 0.0)
+        delta, self._stamp = self._increment.add_odometry(odometry, imu, scan.stamp), scan.stamp
+        noise = in_axes_of(self._filter.pose.inverse(), self._increment.newest)
+        self._drift.move(self._pose.x - before.x, self._pose.y - before.y, noise, seconds)
         self._spacing += (math.hypot(delta.x, delta.y) + abs(delta.yaw) - self._spacing) / min(
             self.received, self.config.sparse_memory
         )
@@ -280,6 +294,8 @@ class GmappingMapper(PlanarMapper):
         found = self._filter.match_best(beams, self._increment, wall_slope, wide=self._sparse)
         if found is not None and self._increment.distance_from(found) <= self.config.mahalanobis_gate:
             self._increment.pose = found
+            if self._fit is not None:  # the scan tells as much as the last one that was weighed
+                self._drift.match(self._pose, *self._fit, scan.hits)
 
     def _sample(self, scan: LeveledScan) -> None:
         """Draw new poses and weigh them; follow dead reckoning where it is not localizable."""
@@ -294,7 +310,10 @@ class GmappingMapper(PlanarMapper):
             yaw = float(proposal.means[particles.best, 2])
             monitors.observe_match(hit if informative else None, yaw, motion.seconds)
         if not scan.leveled or (localizability.localizable and (informative or localizability.steady)):
+            prior = in_axes_of(particles.pose.inverse(), motion.reckoned.covariance)
+            self._fit = prior, proposal.covariances[particles.best]
             particles.adopt(proposal)
+            self._drift.match(particles.pose, *self._fit, scan.hits)
         else:
             particles.follow(motion)
         fits = monitors.observe_fit(hit, known) and localizability.believed
@@ -314,6 +333,7 @@ class GmappingMapper(PlanarMapper):
     def _insert(self, scan: LeveledScan, reckoned: PoseEstimate, seconds: float) -> None:
         """Draw the scan into all maps; refine the start of the trajectory when due."""
         ground, pose = self.ground_filter, self._pose
+        self._drift.add_keyframe(pose, scan.hits)
         _, min_slopes = ground.insert(scan, pose)
         drawn = scan.transformed(Pose2(), ground.height), min_slopes
         if self._sparse:

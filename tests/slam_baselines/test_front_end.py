@@ -1,10 +1,13 @@
 """The schedule of the start-up refinement, and the trajectory of all scans."""
 
+import math
+
 import numpy as np
+import pytest
 from hypothesis import given, settings, strategies as st
 
-from lirs_wct.geometry.pose import Pose2
-from slam_baselines.front_end import FrontEndConfig, Keyframe, KeyframeTrajectory, StartUp
+from lirs_wct.geometry import FloatArray, Pose2
+from slam_baselines.front_end import DriftCovariance, FrontEndConfig, Keyframe, KeyframeTrajectory, StartUp
 from slam_baselines.leveling import LeveledScan
 
 NOTHING = np.empty((0, 3))
@@ -78,3 +81,61 @@ def test_scans_between_keyframes_follow_both() -> None:
         track.add(stamp, keyframe, Pose2(x, 0))
     poses = track.trajectory([Pose2(0, 0), Pose2(1, 0.4)], [Pose2(0, 0), Pose2(1, 0)])
     np.testing.assert_allclose(poses.xy, [[0, 0], [0.5, 0.2], [1, 0.4], [1.5, 0.4]], atol=1e-9)
+
+
+WALLS = np.column_stack((10 * np.cos(np.arange(0.0, 6.2, 0.1)), 10 * np.sin(np.arange(0.0, 6.2, 0.1))))
+"""Hits of a round room of 10 m around the robot."""
+STEP = np.diag((1e-4, 1e-4, 1e-6))
+"""Covariance of a step of 10 cm."""
+
+
+def drive(steps: int, *, matched: FloatArray | None = None, back: bool = False) -> list[FloatArray]:
+    """Covariances of a drive ahead, and back again, with a keyframe each step."""
+    drift, pose, found = DriftCovariance(0.01), Pose2(), []
+    drift.add_keyframe(pose, WALLS)
+    for k in range(2 * steps if back else steps):
+        ahead = 0.1 if k < steps else -0.1
+        pose = Pose2(pose.x + ahead)
+        drift.move(ahead, 0.0, STEP, 0.1)
+        if matched is not None:
+            prior = found[-1] + STEP if found else STEP
+            drift.match(pose, prior, np.minimum(prior, matched), WALLS)
+        drift.add_keyframe(pose, WALLS)
+        found.append(drift.covariance)
+    return found
+
+
+def test_the_covariance_grows_under_dead_reckoning() -> None:
+    """Against the sum over independent steps: x by steps, y by the lever of the yaw too."""
+    found = drive(100)[-1]
+    bias = math.radians(0.02) * 10.0
+    assert found[0, 0] == pytest.approx(100 * 1e-4)
+    assert found[2, 2] == pytest.approx(100 * 1e-6 + bias**2)
+    assert found[1, 1] > 100 * 1e-4 + 1e-6 * sum((0.1 * k) ** 2 for k in range(100))
+
+
+@pytest.mark.parametrize("matched", [None, np.diag((1e-6, 1e-6, 1e-8)), np.diag((1e-6, 1.0, 1.0))])
+def test_a_covariance_is_symmetric_and_positive_semidefinite(matched: FloatArray | None) -> None:
+    for covariance in drive(200, matched=matched, back=True):
+        np.testing.assert_allclose(covariance, covariance.T, rtol=0, atol=1e-15)
+        assert np.linalg.eigvalsh(covariance)[0] >= -1e-15
+
+
+def test_matches_hold_the_error_of_the_map_in_view() -> None:
+    """A wall's place within reach of the start; more at the frontier; little again on the way back."""
+    exact = np.diag((1e-8, 1e-8, 1e-10))
+    found = np.array(drive(400, matched=exact, back=True))[:, 0, 0]
+    assert found[40] == pytest.approx(0.01**2, rel=0.01)
+    assert found[399] > 3 * found[40]
+    assert found[-1] == pytest.approx(0.01**2, rel=0.01)
+
+
+def test_a_match_leaves_the_direction_that_it_does_not_see() -> None:
+    """In a corridor along x, only y and yaw are held."""
+    drift = DriftCovariance(0.01)
+    drift.add_keyframe(Pose2(), WALLS)
+    for k in range(1, 41):
+        drift.move(0.1, 0.0, STEP, 0.1)
+        drift.match(Pose2(0.1 * k), 2 * STEP, np.diag((2e-4, 1e-8, 1e-10)), WALLS)
+    assert drift.covariance[0, 0] == pytest.approx(40 * 1e-4, rel=0.05)
+    assert drift.covariance[1, 1] == pytest.approx(0.01**2, rel=0.05)

@@ -28,6 +28,7 @@ from lirs_extensions.clouds.wheel_lio.voxel_map import LineMap, LocalMap, PlaneM
 from lirs_wct.errors import Checked, limited
 from lirs_wct.geometry import FloatArray, Imu, ImuReadings, PointCloud, Pose2, Pose3, Trajectory
 from slam_baselines.dead_reckoning import climb
+from slam_baselines.front_end import DriftCovariance
 from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
 
 GRAVITY = np.array((0.0, 0.0, 9.80665))
@@ -193,8 +194,7 @@ class WheelLioMapper:
     """Mapper of point clouds with odometry and inertial readings.
 
     Attributes:
-        weak_directions: (n, 6) unit vectors for each sweep: directions that the sweep did not constrain, as a
-            shift in the level map frame and the arc of a turn about the robot.
+        covariance: (3, 3) of `T_map_base` in the plane, see `Mapper`.
     """
 
     reads_clouds = reads_inertial = reads_odometry = requires_odometry = True
@@ -208,7 +208,8 @@ class WheelLioMapper:
         self._key: PlaneMatch | None = None
         self._stamps: list[float] = []
         self._poses: list[Pose3] = []
-        self.weak_directions: list[FloatArray] = []
+        self._drift, self._used = DriftCovariance(c.noise), 0
+        self.covariance = self._drift.covariance
         self._watch = Stopwatch()
 
     def update(
@@ -227,19 +228,33 @@ class WheelLioMapper:
         origin = cloud.T_base_laser.position
         edges = self._in_range(find_edges(sweep, cloud.ring, origin))
         seen = SweepPoints(thin(points, self.config.thin), edges, origin)
-        match = register(seen, self._map, self._prior(predicted), self._rule)
+        prior = self._prior(predicted)
+        match = register(seen, self._map, prior, self._rule)
         self._motion.correct(match.R, match.t)
+        quaternion = Rotation.from_matrix(match.R).as_quat(scalar_first=True)
+        pose = Pose3.from_arrays(match.t, quaternion)
+        self._add_covariance(prior, match, pose.to_pose2(), predicted.seconds, points)
         if self._is_key(match):
             self._key = match
+            self._drift.add_keyframe(pose.to_pose2(), points)
             center = match.R @ origin + match.t
             self._map.planes.insert(points @ match.R.T + match.t, center)
             self._map.lines.insert(edges @ match.R.T + match.t, center)
         self._stamps.append(cloud.stamp)
-        quaternion = Rotation.from_matrix(match.R).as_quat(scalar_first=True)
-        self._poses.append(Pose3.from_arrays(match.t, quaternion))
-        self.weak_directions.append(match.constraint.weak_directions)
+        self._poses.append(pose)
+        self._used += not match.constraint.weak.all()
         self._watch.stop(started)
         return self._poses[0].inverse() @ self._poses[-1]
+
+    def _add_covariance(
+        self, prior: SpatialPrior, match: PlaneMatch, pose: Pose2, seconds: float, points: FloatArray
+    ) -> None:
+        """Follow the covariance in the plane by a step and its match."""
+        if self._poses:
+            dx, dy, _ = (prior.t - self._poses[-1].position).tolist()
+            self._drift.move(dx, dy, prior.planar, seconds)
+            self._drift.match(pose, prior.planar, match.covariance, points)
+        self.covariance = self._drift.covariance
 
     def _in_range(self, points: FloatArray) -> FloatArray:
         square = np.einsum("ij,ij->i", points, points)
@@ -272,12 +287,7 @@ class WheelLioMapper:
 
     @property
     def stats(self) -> MapperStats:
-        """Sweeps, times, memory, and the number of weak directions of each sweep."""
-        n, weak = len(self._stamps), [len(directions) for directions in self.weak_directions]
-        stats = MapperStats(
-            received=n,
-            used=sum(count < 6 for count in weak),
-            memory=self._map.planes.memory + self._map.lines.memory,
-            weak_directions="".join(map(str, weak)),
-        )
+        """Sweeps, times and memory."""
+        memory = self._map.planes.memory + self._map.lines.memory
+        stats = MapperStats(received=len(self._stamps), used=self._used, memory=memory)
         return self._watch.add_to(stats)

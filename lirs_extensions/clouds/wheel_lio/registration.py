@@ -180,6 +180,10 @@ class MatchRule(NamedTuple):
     weak: float
 
 
+PLANAR = [0, 1, 5]
+"""Indices of x, y and yaw in a motion in space."""
+
+
 @dataclass(frozen=True, slots=True)
 class SpatialPrior:
     """Expected base pose, R (3, 3) and t (3,), level map frame, meters.
@@ -191,6 +195,12 @@ class SpatialPrior:
     R: FloatArray
     t: FloatArray
     sigmas: FloatArray
+
+    @property
+    def planar(self) -> FloatArray:
+        """(3, 3) covariance of x, y, yaw."""
+        covariance: FloatArray = np.diag(self.sigmas[PLANAR] ** 2)
+        return covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,20 +220,19 @@ class Constraint:
     directions: FloatArray
     weak: BoolArray
 
-    @property
-    def weak_directions(self) -> FloatArray:
-        """(n, 6) weak directions in rows."""
-        return self.directions[:, self.weak].T.copy()
-
 
 @dataclass(frozen=True, slots=True)
 class PlaneMatch:
-    """Most probable pose of a sweep by its points with a plane."""
+    """Most probable pose of a sweep by its points with a plane.
+
+    Its covariance (3, 3) is of x, y, yaw relative to the map.
+    """
 
     R: FloatArray
     t: FloatArray
     points: int
     constraint: Constraint
+    covariance: FloatArray
 
 
 NOTHING = Constraint(np.zeros(6), np.eye(6), np.ones(6, np.bool_))
@@ -244,7 +253,7 @@ def register(seen: SweepPoints, local: LocalMap, prior: SpatialPrior, rule: Matc
             seen.surfaces, seen.origin, planes.table, planes.cell, R, t, rule
         )
         if found < LEAST_POINTS:
-            return PlaneMatch(prior.R, prior.t, found, NOTHING)
+            return PlaneMatch(prior.R, prior.t, found, NOTHING, prior.planar)
         arc = np.repeat((1.0, math.sqrt(square / weight)), 3)
         constraint = find_weak(H / weight / np.outer(arc, arc), rule.weak)
         strong = constraint.directions * ~constraint.weak
@@ -253,11 +262,12 @@ def register(seen: SweepPoints, local: LocalMap, prior: SpatialPrior, rule: Matc
         b = J.T @ (strong.T @ (g / weight / arc)) / rule.error**2
         E, e = linearize_edges(seen.edges, lines.table, lines.cell, R, t, rule)
         offset = np.concatenate((prior.t - t, Rotation.from_matrix(prior.R @ R.T).as_rotvec()))
-        step = np.linalg.solve(A + E + np.diag(P), b + e + P * offset)
+        information = A + E + np.diag(P)
+        step = np.linalg.solve(information, b + e + P * offset)
         t, R = t + step[:3], Rotation.from_rotvec(step[3:]).as_matrix() @ R
         if (abs(step) < CONVERGED_STEP).all():
             break
-    return PlaneMatch(R, t, found, constraint)
+    return PlaneMatch(R, t, found, constraint, np.linalg.inv(information)[np.ix_(PLANAR, PLANAR)])
 
 
 def find_weak(information: FloatArray, weak: float) -> Constraint:

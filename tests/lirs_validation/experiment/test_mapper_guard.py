@@ -16,6 +16,7 @@ from lirs_validation.record.run_record import read_record
 from lirs_validation.sweep.sweep import Serial, Sweep
 from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import ConfigError, MapperError
+from lirs_wct.geometry import FloatArray
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.mapper import make_mapper
@@ -130,6 +131,38 @@ def test_ctrl_c_and_our_own_errors_pass_the_guard() -> None:
     ):
         with pytest.raises(expected):
             LocalMapper(Raises(error), "wrong").observe(SEEN)
+
+
+class Claims(Own):
+    def __init__(self, covariance: object) -> None:
+        super().__init__()
+        self.covariance = covariance
+
+
+def test_a_covariance_is_taken_over_as_a_copy() -> None:
+    claimed = np.diag((0.04, 0.01, 0.001))
+    answer = LocalMapper(Claims(claimed), "own").observe(SEEN)
+    assert answer.covariance is not None
+    assert np.array_equal(answer.covariance, claimed)
+    assert not np.shares_memory(answer.covariance, claimed)
+    assert LocalMapper(Claims(None), "own").observe(SEEN).covariance is None
+    assert LocalMapper(Own(), "own").observe(SEEN).covariance is None
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [np.eye(2), np.diag((1.0, np.nan, 1.0)), np.diag((1.0, -0.1, 1.0)), np.triu(np.ones((3, 3)))],
+)
+def test_an_invalid_covariance_is_the_mappers_error(covariance: FloatArray) -> None:
+    message = r"^covariance must be 3 x 3, finite, symmetric and positive semidefinite, or None, got \[.*1.5"
+    with pytest.raises(MapperError, match=message) as error:
+        LocalMapper(Claims(covariance), "own").observe(SEEN)
+    assert "\n" not in str(error.value)
+
+
+def test_a_covariance_that_is_no_matrix_is_the_mappers_error() -> None:
+    with pytest.raises(MapperError, match=r"mapper 'own': covariance failed for the scan at 1.500 s"):
+        LocalMapper(Claims("wide"), "own").observe(SEEN)
 
 
 def test_the_guard_changes_no_answer() -> None:

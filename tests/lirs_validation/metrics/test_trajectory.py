@@ -23,6 +23,7 @@ from lirs_validation.metrics.mapped_log import (
 from lirs_validation.metrics.trajectory import (
     ErrorSpread,
     close_pairs,
+    inside_95,
     pairs_by_path,
     pairs_by_time,
     relative_pose_error,
@@ -43,6 +44,26 @@ def circle(n: int = 200, radius: float = 3.0, rate: float = 25.0) -> Trajectory:
     angles = np.linspace(0, 1.5 * math.pi, n)
     path = [Pose2(radius * math.cos(a), radius * math.sin(a), a + math.pi / 2) for a in angles.tolist()]
     return Trajectory.from_poses((np.arange(n) / rate).tolist(), path)
+
+
+def test_a_known_covariance_holds_95_percent_of_the_errors() -> None:
+    rng = np.random.default_rng(5)
+    truth, covariances, errors = np.zeros((4000, 3)), [], []
+    for _ in truth:
+        A = rng.standard_normal((3, 3)) * (0.3, 0.05, 0.01)
+        covariances.append(A @ A.T)
+        errors.append(A @ rng.standard_normal(3))
+    share = inside_95(truth, np.array(errors), covariances)
+    assert share == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / 4000))
+    half = inside_95(truth, np.array(errors), [P / 4 for P in covariances])
+    assert half == pytest.approx(1 - math.exp(-5.991 / 8), abs=0.04)
+
+
+def test_only_claimed_covariances_count() -> None:
+    truth, estimate = np.zeros((3, 3)), np.array(((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (9.0, 9.0, 0.0)))
+    assert inside_95(truth, estimate, [np.zeros((3, 3)), 0.01 * np.eye(3), None]) == 1.0
+    assert inside_95(truth, estimate, [np.zeros((3, 3)), 1e-3 * np.eye(3), None]) == 0.5
+    assert inside_95(truth, estimate, [None] * 3) is None
 
 
 @given(poses)
