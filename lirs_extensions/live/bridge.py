@@ -18,7 +18,8 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_extensions.live.graph import (
     MAP_TYPE,
-    START_POSE,
+    POSE,
+    POSE_TYPE,
     TRANSFORMS_TYPE,
     TWIST,
     TWIST_STAMPED,
@@ -32,11 +33,13 @@ from lirs_validation.driving.path_driver import Frame
 from lirs_validation.experiment.drive import Driver, planar
 from lirs_validation.experiment.mapper_under_test import Estimate, LocalMapper, SensorReadings
 from lirs_validation.experiment.recording import bag_tick
+from lirs_validation.metrics.trajectory import COVARIANCE, is_covariance
 from lirs_validation.processes import Cost
-from lirs_wct import ConfigError, LaserScan, OccupancyGrid, Pose2, Pose3, Trajectory
+from lirs_wct import ConfigError, FloatArray, LaserScan, OccupancyGrid, Pose2, Pose3, Trajectory
 from lirs_wct.formats.rosbag import frames, messages
 from lirs_wct.formats.rosbag.messages import SensorErrors, TickMessages, nanoseconds, occupancy_grid
 from lirs_wct.formats.rosbag.topics import MAP_TOPIC
+from slam_baselines.dead_reckoning import in_axes_of
 from slam_baselines.mapper import CloudMapper, Mapper, MapperStats
 
 MAP_PERIOD = 2.0
@@ -181,8 +184,10 @@ class ClientMapper:
         begun = time.perf_counter()
         self._bridge.exchange(observation)
         pose = Pose3.from_pose2(self._T_start_map) @ self._bridge.client.estimate(observation.odometry)
-        seconds = time.perf_counter() - begun
-        return Estimate(pose if self.reads_clouds else pose.to_pose2(), False, seconds)
+        seconds, covariance = time.perf_counter() - begun, self._bridge.client.covariance
+        if covariance is not None:
+            covariance = in_axes_of(self._bridge.T_map_start, covariance)
+        return Estimate(pose if self.reads_clouds else pose.to_pose2(), False, seconds, covariance)
 
     def map(self) -> OccupancyGrid:
         """Return the client's last map; a single unknown cell if it sent none."""
@@ -279,6 +284,7 @@ class Client:
 
     Attributes:
         grid: last map, in the client's map frame; None = none.
+        covariance: (3, 3) of x, y, yaw on the last /pose, in the axes of the client's map frame.
         start: pose of a requested new start in the client's map frame; None = no new pose was requested.
         reset: whether a new start was requested.
         ended: whether the user ended the drive.
@@ -299,6 +305,7 @@ class Client:
         self._warned: set[str] = set()
         self.grid: OccupancyGrid | None = None
         self.start: Pose2 | None = None
+        self.covariance: FloatArray | None = None
         self.reset, self.ended, self.messages = False, False, 0
 
     def take(self, received: Sequence[Received], time: float) -> int:
@@ -311,7 +318,10 @@ class Client:
             self.messages += 1
             try:
                 message = self._store.deserialize_cdr(cdr, topic.kind)
-                answered = max(answered, self._take(topic.kind, message, time))
+                if topic.name == POSE:
+                    self._take_covariance(message)
+                else:
+                    answered = max(answered, self._take(topic.kind, message, time))
             except Exception as error:  # of any kind: the bytes are another program's
                 if topic.name not in self._warned:
                     self._warned.add(topic.name)
@@ -352,10 +362,17 @@ class Client:
         if kind == MAP_TYPE:
             self.grid = read_grid(message)
             return 0
-        if kind == START_POSE:
+        if kind == POSE_TYPE:
             self.start = frames.pose_of(message.pose.pose.position, message.pose.pose.orientation).to_pose2()
         self.reset = True
         return 0
+
+    def _take_covariance(self, message: Any) -> None:
+        given = frames.planar_covariance(message.pose)
+        unknown = np.isnan(given).all()
+        if not (unknown or is_covariance(given)):
+            raise ConfigError(f"its covariance must be {COVARIANCE}")
+        self.covariance = None if unknown else given
 
     def _take_frames(self, message: Any) -> int:
         answered = 0

@@ -34,7 +34,7 @@ ENCLAVE = b"enclave=/;"
 """User data of a DDS participant that is a ROS context."""
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 MAP_TYPE, TRANSFORMS_TYPE = "nav_msgs/msg/OccupancyGrid", "tf2_msgs/msg/TFMessage"
-START_POSE, EMPTY = "geometry_msgs/msg/PoseWithCovarianceStamped", "std_msgs/msg/Empty"
+POSE, POSE_TYPE, EMPTY = "/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", "std_msgs/msg/Empty"
 NO_HASH = "TypeHashNotSupported"
 """Hash of a type in rmw_zenoh for Humble."""
 
@@ -68,7 +68,8 @@ SUBSCRIBED = (
     LiveTopic("/cmd_vel", TWIST_STAMPED),
     LiveTopic("/map", MAP_TYPE, 1),
     LiveTopic("/tf", TRANSFORMS_TYPE, 100),
-    LiveTopic("/initialpose", START_POSE),
+    LiveTopic(POSE, POSE_TYPE),
+    LiveTopic("/initialpose", POSE_TYPE),
     LiveTopic("/reset", EMPTY),
 )
 """Topics that a client may publish."""

@@ -18,9 +18,12 @@ from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.logs.read_log import read_trajectory
 from lirs_validation.metrics.map import agreement, as_stored, map_scores, sample_like
 from lirs_validation.metrics.trajectory import (
+    COVARIANCE,
     MAX_GAP,
     StartAlignment,
     associated,
+    inside_95,
+    is_covariance,
     nearest,
     rigid_alignment,
     start_alignment,
@@ -127,6 +130,8 @@ def score(
         odometry = drive_files.read_tum(run.folder / "odometry.tum")
         errors["odometry_ate_rmse"] = trajectory_errors(truth, odometry).ate_rmse
         alignment = start_alignment(truth, estimate.moved(T_world_frame))
+        if estimate.covariances is not None and frame != "align":
+            errors["inside_95"] = _inside_95(trajectory, truth, estimate.moved(T_world_frame))
         lacking = incompleteness(errors["scan_coverage"])
     return Score(
         run=str(run.entry["name"]),
@@ -138,6 +143,18 @@ def score(
         trajectory=errors,
         map={} if map_yaml is None else _score_map(run, map_yaml, T_world_frame, alignment),
     )
+
+
+def _inside_95(path: Path | None, truth: Trajectory, estimate: Trajectory) -> float | None:
+    """Return the share of positions within their claimed ellipse; poses are in the world frame."""
+    i, j = associated(truth.stamps, estimate.stamps)
+    assert estimate.covariances is not None
+    claimed = [None if np.isnan(P).all() else P for P in estimate.covariances[j]]
+    for P, stamp in zip(claimed, estimate.stamps[j].tolist(), strict=True):
+        if P is not None and not is_covariance(P):
+            numbers = " ".join(f"{number:.3g}" for number in P.flat)
+            raise SourceError(f"{path}: a covariance must be {COVARIANCE}, got {numbers} at {stamp:.3f} s")
+    return inside_95(truth.xy[i], estimate.xy[j], claimed)
 
 
 def _in_frame(path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame) -> tuple[Trajectory, Frame]:
@@ -265,7 +282,9 @@ def interpolate_poses(trajectory: Trajectory, stamps: FloatArray) -> Trajectory:
     if not len(known):
         return trajectory
     positions, turns = _poses_at(trajectory, known)
-    return Trajectory(known, positions, turns.as_quat(scalar_first=True))
+    claimed = trajectory.covariances
+    claimed = None if claimed is None else claimed[nearest(trajectory.stamps, known)]
+    return Trajectory(known, positions, turns.as_quat(scalar_first=True), claimed)
 
 
 def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:

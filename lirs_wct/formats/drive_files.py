@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import takewhile
 from pathlib import Path
@@ -239,9 +239,14 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
         np.savetxt(temporary, rows, fmt="%.9f", header="# stamp[s] x y z[m] qx qy qz qw", comments="")
 
 
+TRIANGLE = [8, 9, 10, 9, 11, 12, 10, 12, 13]
+"""Columns of a TUM file that make a covariance of x, y, yaw."""
+
+
 def read_tum(path: Path, scans: FloatArray | None = None) -> Trajectory:
     """Read a trajectory: TUM, EuRoC (commas, nanoseconds) or KITTI (12 numbers a line).
 
+    Six more numbers of a TUM file are the upper triangle of the covariance of x, y, yaw: meters and radians.
     Stamps may be out of order or repeat; of equal stamps the last pose counts, and a warning says so. A KITTI
     file lacks stamps: its poses get those of the scans, seconds.
     """
@@ -253,20 +258,23 @@ def read_tum(path: Path, scans: FloatArray | None = None) -> Trajectory:
     except ValueError as error:  # a word, or lines of different lengths
         raise SourceError(f"{path}: not a trajectory: {' '.join(str(error).split())[:100]}") from error
     width = rows.shape[1] if rows.ndim == 2 else 0
-    if width not in (8, 12) and not (width > 8 and "," in text):
-        raise SourceError(f"{path}: a trajectory has 8 numbers a line (TUM), 12 (KITTI) or commas (EuRoC)")
+    if width not in (8, 12, 14) and not (width > 8 and "," in text):
+        forms = "8 numbers a line (TUM), 14 with a covariance, 12 (KITTI) or commas (EuRoC)"
+        raise SourceError(f"{path}: a trajectory has {forms}")
     if width == 12 and "," not in text:
         return _kitti(path, rows, scans)
     nanoseconds = rows[:, 0].max() > NANOSECONDS or np.median(np.abs(np.diff(rows[:, 0], prepend=0))) > PERIOD
     if nanoseconds and "," in text:  # EuRoC has w first
         rows[:, 4:8] = np.roll(rows[:, 4:8], -1, axis=1)
+    claimed = rows[:, TRIANGLE].reshape(-1, 3, 3) if width == 14 and "," not in text else None
     rows = rows[:, :8] * np.where(np.arange(8) == 0, 1e-9 if nanoseconds else 1.0, 1.0)
     stamps, last = np.unique(rows[::-1, 0], return_index=True)
     unordered, equal = int((np.diff(rows[:, 0]) < 0).sum()), len(rows) - len(stamps)
     if unordered or equal:
         said = f"stamps go back {unordered} times, {equal} poses of equal stamps are left out"
         warnings.warn(f"{path}: {said}", stacklevel=2)
-    return _trajectory(path, rows[::-1][last])
+    covariances = None if claimed is None else claimed[::-1][last]
+    return replace(_trajectory(path, rows[::-1][last]), covariances=covariances)
 
 
 def _kitti(path: Path, rows: FloatArray, scans: FloatArray | None) -> Trajectory:

@@ -207,6 +207,8 @@ class Trajectory(ShownAsPicture):
         stamps: (n,) seconds, strictly increasing.
         positions: (n, 3) meters.
         quaternions: (n, 4) unit, wxyz.
+        covariances: (n, 3, 3) claimed for x, y, yaw in the frame's axes, NaN for a pose without one; None =
+            for no pose.
 
     Raises:
         ConfigError: lengths differ or stamps do not increase.
@@ -215,6 +217,7 @@ class Trajectory(ShownAsPicture):
     stamps: FloatArray
     positions: FloatArray
     quaternions: FloatArray
+    covariances: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.stamps)
@@ -282,7 +285,11 @@ class Trajectory(ShownAsPicture):
         )
         # One product per pose, like `Pose3.apply`: a single product for all poses rounds differently.
         positions = np.matmul(self.positions[:, None], T.rotation.T)[:, 0] + T.position
-        return Trajectory(self.stamps.copy(), positions, np.column_stack(columns))
+        covariances = self.covariances
+        if covariances is not None:
+            R = Pose3.from_pose2(Pose2(yaw=T.to_pose2().yaw)).rotation
+            covariances = R @ covariances @ R.T
+        return Trajectory(self.stamps.copy(), positions, np.column_stack(columns), covariances)
 
 
 def _yaw(quaternions: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,12 @@ def pose_of(position: Any, rotation: Any) -> Pose3:
     if n == 0.0:
         return Pose3(p.x, p.y, p.z)
     return Pose3(p.x, p.y, p.z, q.w / n, q.x / n, q.y / n, q.z / n)
+
+
+def planar_covariance(pose: Any) -> FloatArray:
+    """Return the covariance (3, 3) of x, y, yaw around a message's pose; NaN where it is unknown, all 0."""
+    given = np.reshape(getattr(pose, "covariance", np.zeros(36)), (6, 6))[np.ix_((0, 1, 5), (0, 1, 5))]
+    return np.asarray(given if given.any() else np.full((3, 3), np.nan), dtype=np.float64)
 
 
 def is_finite(T: Pose3) -> bool:
@@ -299,12 +306,15 @@ def _follow_transforms(bag: Bag, *, required: bool) -> Trajectory | None:
 
 def _read_topic(bag: Bag, topic: str) -> Trajectory:
     """Return the poses of a topic by stamp; of equal stamps, the later one."""
-    poses: dict[float, Pose3] = {}
+    poses: dict[float, tuple[Pose3, FloatArray]] = {}
     for _, _, message in bag.messages((topic,)):
         if bag.kinds[topic] == PATH:
             poses = {}
         for each in message.poses if bag.kinds[topic] == PATH else (message,):
             pose = getattr(each.pose, "pose", each.pose)  # a covariance lies around some poses
-            poses[seconds(each.header.stamp)] = pose_of(pose.position, pose.orientation)
+            T = pose_of(pose.position, pose.orientation)
+            poses[seconds(each.header.stamp)] = T, planar_covariance(each.pose)
     stamps = sorted(poses)
-    return Trajectory.from_poses(stamps, [poses[t] for t in stamps])
+    trajectory = Trajectory.from_poses(stamps, [poses[t][0] for t in stamps])
+    covariances = np.array([poses[t][1] for t in stamps])
+    return trajectory if np.isnan(covariances).all() else replace(trajectory, covariances=covariances)

@@ -54,10 +54,10 @@ def pose(x: float, y: float, yaw: float) -> Any:
     return TYPES["geometry_msgs/msg/Pose"](point, quaternion(yaw))
 
 
-def start(x: float, y: float, yaw: float) -> Received:
-    inner = TYPES["geometry_msgs/msg/PoseWithCovariance"](pose(x, y, yaw), np.zeros(36))
+def start(x: float, y: float, yaw: float, *, name: str = "/initialpose", variance: float = 0.0) -> Received:
+    inner = TYPES["geometry_msgs/msg/PoseWithCovariance"](pose(x, y, yaw), variance * np.eye(6).ravel())
     kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
-    return received(topic("/initialpose"), TYPES[kind](header(0, "map"), inner))
+    return received(topic(name), TYPES[kind](header(0, "map"), inner))
 
 
 def grid(cells: list[list[int]], resolution: float, origin: tuple[float, float, float]) -> Received:

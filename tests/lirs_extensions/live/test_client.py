@@ -60,6 +60,19 @@ def test_a_map_comes_in_its_frame():
     assert it.grid.known.sum() == 5
 
 
+def test_a_pose_tells_its_covariance_alone():
+    it = client()
+    assert it.covariance is None
+    it.take([net.start(5.0, 5.0, 1.0, name="/pose", variance=0.3)], 0.0)
+    assert np.array_equal(it.covariance, 0.3 * np.eye(3))
+    assert (it.start, it.reset, it.estimate(Pose2()).x) == (None, False, 0.0)
+    with pytest.warns(UserWarning, match="/pose: a message is damaged and ignored: its covariance must"):
+        it.take([net.start(5.0, 5.0, 1.0, name="/pose", variance=-1.0)], 0.0)
+    assert np.array_equal(it.covariance, 0.3 * np.eye(3))
+    it.take([net.start(5.0, 5.0, 1.0, name="/pose")], 0.0)  # in ROS, zeros are unknown
+    assert it.covariance is None
+
+
 def test_damaged_messages_warn_once_and_change_nothing():
     it = client()
     command = net.topic("/cmd_vel", TWIST)

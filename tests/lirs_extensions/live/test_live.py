@@ -109,13 +109,16 @@ def test_poses_and_map_of_the_client_are_evaluated(monkeypatch):
         x, y = client.odometry.position.x, client.odometry.position.y
         moved = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
         frame = net.frame(stamp, truth.position.x - moved[0], truth.position.y - moved[1], turn)
-        return [net.grid([[0]], 0.5, (0.0, 0.0, 0.0)), net.frames(frame), net.stamped(stamp, 0.5, 0.3)]
+        claimed = net.start(0.0, 0.0, 0.0, name="/pose", variance=1e-6)
+        grid = net.grid([[0]], 0.5, (0.0, 0.0, 0.0))
+        return [claimed, grid, net.frames(frame), net.stamped(stamp, 0.5, 0.3)]
 
     options = LiveOptions(lockstep=True, answer="cmd_vel")
     (result,) = drive(net.FakeNetwork(client), monkeypatch, options, seconds=3.0)
     errors = result.run.record.trajectory
     assert errors["odometry_ate_rmse"] > 1e-3
     assert errors["ate_rmse"] < 1e-3  # the roll and pitch of the truth are not its
+    assert errors["inside_95"] > 0.9
     assert result.run.maps.built.known.sum() == 1
 
 

@@ -73,6 +73,33 @@ def test_its_own_files_score_its_own_figures(run: RunFolder) -> None:
         assert value == pytest.approx(recorded[name], abs=2e-8), name
 
 
+def claimed(run: RunFolder, path: Path, *, factor: float = 1.0) -> Path:
+    """The true path in the map frame with errors of a known covariance, which the file claims."""
+    rng, truth = np.random.default_rng(2), read_tum(run.folder / "truth.tum")
+    A = np.array(((0.2, 0.0, 0.0), (0.1, 0.005, 0.0), (0.0, 0.0, 0.01)))
+    assert abs(truth.pose2(0).yaw) > 0.05, "frames must differ"
+    in_map = truth.moved(truth.pose2(0).inverse())
+    positions = in_map.positions.copy()
+    positions[1:, :2] += rng.standard_normal((len(truth) - 1, 3)) @ A.T[:, :2]
+    write_tum(path, replace(in_map, positions=positions))
+    numbers = " ".join(f"{factor * x:.9g}" for x in (A @ A.T)[np.triu_indices(3)])
+    lines = [line if line.startswith("#") else f"{line} {numbers}" for line in path.read_text().splitlines()]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_a_claimed_covariance_is_scored(run: RunFolder, tmp_path: Path) -> None:
+    found = score(run, trajectory=claimed(run, tmp_path / "est.tum"))
+    assert found.trajectory["inside_95"] == pytest.approx(0.95, abs=0.07)
+    small = score(run, trajectory=claimed(run, tmp_path / "small.tum", factor=0.01)).trajectory
+    assert small["inside_95"] < 0.2
+    assert small["ate_rmse"] == pytest.approx(found.trajectory["ate_rmse"])
+    aligned = score(run, trajectory=tmp_path / "est.tum", frame="align")
+    assert "inside_95" not in aligned.trajectory
+    with pytest.raises(SourceError, match=r"bad\.tum: a covariance must be 3 x 3, .* got -0\.04"):
+        score(run, trajectory=claimed(run, tmp_path / "bad.tum", factor=-1.0))
+
+
 def test_the_map_frame_is_that_of_the_first_base_pose(run: RunFolder, foreign: tuple[Path, Path]) -> None:
     scored = score(run, trajectory=foreign[0], map_yaml=foreign[1])
     assert scored.frame == "map"
@@ -222,7 +249,10 @@ def test_trajectories_of_other_programs_are_read(
 
 BAD = {
     "words": ("1 2 three", "not a trajectory"),
-    "short": ("1 2 3\n2 3 4", r"has 8 numbers a line \(TUM\), 12 \(KITTI\) or commas \(EuRoC\)"),
+    "short": (
+        "1 2 3\n2 3 4",
+        r"has 8 numbers a line \(TUM\), 14 with a covariance, 12 \(KITTI\) or commas \(EuRoC\)",
+    ),
     "ragged": ("1 0 0 0 0 0 0 1\n2 0 0", "not a trajectory"),
     "empty": ("# nothing\n", "has 8 numbers a line"),
     "nan": ("1 nan 0 0 0 0 0 1\n2 0 0 0 0 0 0 1", "its numbers must be finite"),

@@ -93,7 +93,8 @@ def test_poses_with_covariance_and_paths(tmp_path: Path) -> None:
         ("/path", 4.0, make("nav_msgs/Path", header=header(4.0), poses=stamped)),
     ]
     for t, T in steps:
-        held = make("geometry_msgs/PoseWithCovariance", pose=pose(T), covariance=np.zeros(36))
+        claimed = np.zeros(36) if t == 0.0 else np.arange(36.0)
+        held = make("geometry_msgs/PoseWithCovariance", pose=pose(T), covariance=claimed)
         kind = "geometry_msgs/PoseWithCovarianceStamped"
         messages.append(("/pose", t, make(kind, header=header(t), pose=held)))
     folder = written(tmp_path / "slam", messages)
@@ -102,6 +103,12 @@ def test_poses_with_covariance_and_paths(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.stamps, [t for t, _ in steps])
         for k, T in enumerate(path):
             np.testing.assert_allclose(found.pose2(k).as_array(), T.as_array(), atol=1e-12)
+        if topic == "/path":
+            assert found.covariances is None
+        else:
+            assert np.isnan(found.covariances[0]).all()
+            expected = np.broadcast_to([[0, 1, 5], [6, 7, 11], [30, 31, 35]], (8, 3, 3))
+            np.testing.assert_array_equal(found.covariances[1:], expected)
     with pytest.raises(SourceError, match=r"BAG:/TOPIC must say where its poses are; .*/path .*, /pose "):
         read_poses(folder)
 
