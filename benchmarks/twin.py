@@ -28,7 +28,7 @@ from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.sensors import SensorNoise, write_noise
 from lirs_envs.sensing.wheel_odometry import OdometryConfig
-from lirs_extensions.search.twin.replay import DRAWS, Replay, parse_mappers
+from lirs_extensions.search.twin.replay import Replay, parse_mappers
 from lirs_extensions.search.twin.twin import run_twin
 from lirs_validation import validate
 from lirs_validation.config import MapConfig
@@ -168,15 +168,7 @@ def show_logs(
 def main() -> None:
     """Measure and print."""
     given = arguments(
-        __doc__,
-        "logs",
-        logs=(),
-        planted="large",
-        seconds=300.0,
-        mappers="all",
-        draws=DRAWS,
-        jobs=1,
-        output=Path,
+        __doc__, "logs", logs=(), planted="large", seconds=300.0, mappers="all", draws=20, jobs=1, output=Path
     )
     console = Console(width=170)
     with tempfile.TemporaryDirectory() as made:

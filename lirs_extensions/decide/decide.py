@@ -23,9 +23,10 @@ from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import interrupt_after
-from lirs_validation.record.metric_catalog import ATE, value_at
+from lirs_validation.record.metric_catalog import value_at
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import VerdictClass, cause_of, extent_sentences
+from lirs_validation.report.run_tables import path_result
 from lirs_validation.sweep.sweep import Sweep
 from lirs_validation.sweep.tasks import RunTask, make_executor
 from lirs_wct import OccupancyGrid, OutputError, WctError
@@ -146,13 +147,8 @@ class Trial:
     @property
     def test(self) -> SequentialTest:
         """State of the test; drives that were not evaluated do not count."""
-        works = [drive.kind == "works" for drive in self.evaluated]
-        return SequentialTest(sum(works), len(works) - sum(works))
-
-    @property
-    def evaluated(self) -> tuple[TrialDrive, ...]:
-        """Drives that were evaluated."""
-        return tuple(drive for drive in self.drives if drive.kind != "not evaluated")
+        evaluated = [drive.kind == "works" for drive in self.drives if drive.kind != "not evaluated"]
+        return SequentialTest(sum(evaluated), len(evaluated) - sum(evaluated))
 
     @property
     def unevaluated(self) -> int:
@@ -307,7 +303,7 @@ class TimedDrives:
         """Read the record of a finished drive."""
         entry = read_record(self._out / name)
         sentence, kind = entry["verdict"]["sentence"], entry["verdict"]["class"]
-        figures = (None if kind == "failed" else value_at(entry, key) for key in (ATE, "trajectory.length"))
+        _, *figures = path_result(entry)
         texts = cause_of(kind, entry), sentence, extent_sentences(entry), name
         self._finished[name] = TrialDrive(config.seed, kind, *texts, *figures)
         self.costs.setdefault(key_of(config), value_at(entry, "rtf.wall_seconds") or 0.0)

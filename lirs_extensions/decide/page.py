@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,9 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.trajectory import ErrorSpread, associated
 from lirs_validation.record.metric_catalog import NOTHING, Entry
 from lirs_validation.record.run_record import read_record
-from lirs_validation.record.verdict import DRIVEN, ERROR, VerdictClass
+from lirs_validation.record.verdict import VerdictClass
 from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
-from lirs_validation.report.run_tables import command_of
+from lirs_validation.report.run_tables import command_of, spread_sentence
 from lirs_validation.report.table import ReportTable
 from lirs_wct import FloatArray, SourceError, Trajectory
 from lirs_wct.drawing.canvas import (
@@ -70,7 +69,8 @@ def conclusion(answer: Answer) -> str:
     if decision == "undecided" and trial.forecast is not None:
         parts.append(f"The forecast is that it works in {100 * trial.forecast:.0f} % of the drives.")
     extents = dict.fromkeys(drive.extent for drive in trial.drives)
-    parts += [_spread_text(trial), _failures_text(trial), *extents, _next_text(answer)]
+    spread = spread_sentence((drive.kind, drive.error, drive.distance) for drive in trial.drives)
+    parts += [spread, _failures_text(trial), *extents, _next_text(answer)]
     return " ".join(filter(None, parts))
 
 
@@ -114,25 +114,6 @@ def _share_text(test: SequentialTest) -> str:
         f"it worked in {test.successes} of {test.total} drives ({100 * test.successes / test.total:.0f} %, "
         f"{100 * CONFIDENCE:.0f} % interval {100 * low:.0f} to {100 * high:.0f} %)"
     )
-
-
-def _path_error(trial: Trial) -> dict[str, Any] | None:
-    """Return the interval of the path errors with the median driven distance; None without one."""
-    spread = ErrorSpread.of(drive.error for drive in trial.evaluated)
-    lengths = [d.distance for d in trial.evaluated if d.error is not None and d.distance is not None]
-    return None if spread is None else asdict(spread) | {"count": spread.count, "distance": median(lengths)}
-
-
-def _spread_text(trial: Trial) -> str:
-    """Return the interval of the path errors; empty without one."""
-    found = _path_error(trial)
-    if found is None:
-        return ""
-    driven, high = DRIVEN.text(found["distance"]), ERROR.text(found["high"])
-    if found["total"] == 1:
-        return f"In this drive the path error is {high} after {driven}."
-    low = ERROR.formatted(found["low"])
-    return f"In {found['count']} drives the path error is between {low} and {high} after {driven}."
 
 
 def _failures_text(trial: Trial) -> str:
@@ -219,6 +200,7 @@ def write_decision(out: Path, answers: Sequence[Answer], command: str, scenarios
 
 def _entry(trial: Trial) -> dict[str, Any]:
     """Return a trial as JSON stores it."""
+    spread = ErrorSpread.of(drive.error for drive in trial.drives if drive.kind != "not evaluated")
     return {
         "robot": trial.config.robot,
         "mapper": trial.config.mapper,
@@ -226,7 +208,7 @@ def _entry(trial: Trial) -> dict[str, Any]:
         "decision": trial.decision,
         "share": trial.test.share,
         "interval": list(trial.test.interval),
-        "path_error": _path_error(trial),
+        "path_error": None if spread is None else asdict(spread),
         "drives": [asdict(drive) for drive in trial.drives],
     }
 

@@ -103,7 +103,7 @@ class ErrorSpread:
     At each end about 5 % of the drives are left out: none of fewer than 10, one of fewer than 30.
 
     Attributes:
-        inside: Number of drives with an error in the interval.
+        inside: Number of drives that were not left out and have an error.
         total: Number of drives.
         low: Smallest error of the interval, meters.
         high: Largest error of the interval, meters.

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from rich.console import RenderableType
@@ -17,6 +18,7 @@ from lirs_validation.analysis.compare import ORIGINAL, repeats
 from lirs_validation.analysis.results import recorded_config
 from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.config import RUN_AXES, WORLD_FLAGS, RunConfig
+from lirs_validation.metrics.trajectory import ErrorSpread
 from lirs_validation.record.metric_catalog import (
     ATE,
     NOTHING,
@@ -65,7 +67,7 @@ RUN_COLUMNS = {"world", "robot", "mapper"}
 """Fields with columns in the table of single runs, in addition to the seed."""
 MAX_NAMED = 12
 """Largest number of groups that a caption, or lines of verdicts, name one by one."""
-ERROR, ODOMETRY_ERROR = metrics_named((ATE, ODOMETRY_ATE))
+DRIVEN, ERROR, ODOMETRY_ERROR = metrics_named(("trajectory.length", ATE, ODOMETRY_ATE))
 CAPTION = (
     "ATE [m], mean over the runs that finished, and verdicts of the runs (docs/results.md); those that were "
     f"not evaluated are not counted. {WORSE_MARK} {WORSE} in at least one run."
@@ -311,18 +313,45 @@ def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> l
 
 
 def verdicts_by_method(entries: Sequence[Entry]) -> ReportTable:
-    """Return the verdicts by group; of one run, with its sentence."""
+    """Return the verdicts by group, with the spread of several runs and a sentence."""
     groups = by_group(entries)
     fields = _fields(groups)
     rows = []
     for group, runs in groups.items():
-        verdicts = [entry["verdict"] for entry in runs]
-        first = next((v for v in verdicts if v["class"] != "works"), verdicts[0])
-        counts = class_counts(v["class"] for v in verdicts)
-        rows.append((*group_texts(group, fields), counts, first["sentence"]))
+        first = next((run for run in runs if run["verdict"]["class"] != "works"), runs[0])
+        counts, sentence = class_counts(run["verdict"]["class"] for run in runs), first["verdict"]["sentence"]
+        if len(runs) > 1:
+            sentence = f"{spread_sentence(map(path_result, runs))} Seed {first['seed']}: {sentence}".lstrip()
+        rows.append((*group_texts(group, fields), counts, sentence))
     caption = "Class of each run (docs/results.md), and the sentence of the first that does not work, if any."
     headings = (*fields, "verdict", "sentence")
     return ReportTable("verdicts", "Verdict", caption, headings, tuple(rows), len(headings))
+
+
+PathResult = tuple[str, float | None, float | None]
+"""Class of a run's verdict, its path error and driven distance, meters; None of a failed run."""
+
+
+def path_result(entry: Entry) -> PathResult:
+    """Return class, path error and distance of a run's record."""
+    kind: str = entry["verdict"]["class"]
+    error, distance = (None if kind == "failed" else value_at(entry, key) for key in (ATE, DRIVEN.key))
+    return kind, error, distance
+
+
+def spread_sentence(results: Iterable[PathResult]) -> str:
+    """Return the interval of the evaluated runs' path errors; empty without one."""
+    errors = [(error, distance) for kind, error, distance in results if kind != "not evaluated"]
+    spread = ErrorSpread.of(error for error, _ in errors)
+    if spread is None:
+        return ""
+    driven = DRIVEN.text(
+        median(length for error, length in errors if error is not None and length is not None)
+    )
+    if spread.total == 1:
+        return f"In this drive the path error is {ERROR.text(spread.low)} after {driven}."
+    low, high = ERROR.formatted(spread.low), ERROR.text(spread.high)
+    return f"In {spread.count} drives the path error is between {low} and {high} after {driven}."
 
 
 def sweep_tables(sweep: Sweep) -> Iterator[RenderableType]:

@@ -71,7 +71,7 @@ class Sample:
             for column, values in enumerate((comparison.compared, lost, mixed, edges)):
                 np.add.at(counts[:, column], comparison.scans.block, values.sum(axis=1))
         found = [comparison.residuals() for comparison in comparisons]
-        residual, ranges, _, block = (np.concatenate(column) for column in zip(*found, strict=True))
+        residual, ranges, block = (np.concatenate(column) for column in zip(*found, strict=True))
         order = np.argsort(block, kind="stable")
         first = np.searchsorted(block[order], np.arange(blocks + 1))
         return cls(residual[order], ranges[order], first, counts)

@@ -47,8 +47,6 @@ REPLAYED = (
     "hector", "gmapping", "cartographer", "hector_original", "gmapping_original", "cartographer_original",
 )  # fmt: skip
 """Mappers of a replay."""
-DRAWS = 20
-"""Simulated logs of a replay."""
 
 
 def parse_mappers(text: str) -> tuple[str, ...]:
@@ -253,16 +251,12 @@ def replay_log(
     return Replay(metric, tuple(rows), _compare_odometry(path, logs))
 
 
-Errors = tuple[float | None, str]
-"""Error of a mapping, meters, and its status."""
-
-
 def _map_once(
     config: MapConfig,
     relations: Sequence[RelativePoseConstraint] | None,
     reference: Trajectory | None,
     progress: Progress,
-) -> Errors:
+) -> tuple[float | None, str]:
     """Map a log; return its error, of relations where given, else the ATE, and status."""
     mapped = run_mapping(config)
     found = trajectory_accuracy(mapped.trajectory, mapped.log.track, relations, reference).metrics()
@@ -271,10 +265,14 @@ def _map_once(
 
 
 def _replay_mapper(
-    name: str, tasks: Sequence[Job[Errors]], draws: int, pool: WorkerPool | None, progress: Progress
+    name: str,
+    tasks: Sequence[Job[tuple[float | None, str]]],
+    draws: int,
+    pool: WorkerPool | None,
+    progress: Progress,
 ) -> ReplayedMapper:
     """Map the simulated logs, and last the log if there is a task for it."""
-    found = dict[int, Errors]()
+    found = {}
     try:
         ended = enumerate(task(no_progress) for task in tasks) if pool is None else pool.run(tasks)
         for number, value in ended:

@@ -341,12 +341,11 @@ class LogComparison:
         """(n, beams) compared beams whose residual counts as noise."""
         return self.compared & (np.abs(self.residual) <= GATE)
 
-    def residuals(self) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-        """Return residual, expected range, cosine of the incidence and block of the noise's beams, (m,)."""
+    def residuals(self) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Return residual, expected range and block of the noise's beams, (m,)."""
         some = self.noise
         rows, _ = np.nonzero(some)
-        b = self.beams
-        return self.residual[some], b.ranges[some], b.cosine[some], self.scans.block[rows]
+        return self.residual[some], self.beams.ranges[some], self.scans.block[rows]
 
 
 def compare(scans: LogScans) -> LogComparison:

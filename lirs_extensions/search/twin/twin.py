@@ -23,14 +23,7 @@ from lirs_extensions.search.twin.fit import (
     fit_odometry,
     residual_distance,
 )
-from lirs_extensions.search.twin.replay import (
-    DRAWS,
-    Replay,
-    place_log,
-    replay_figure,
-    replay_log,
-    replay_table,
-)
+from lirs_extensions.search.twin.replay import Replay, place_log, replay_figure, replay_log, replay_table
 from lirs_extensions.search.twin.surface import (
     BLOCK,
     CLUSTER,
@@ -77,7 +70,7 @@ def run_twin(
     seed: int,
     out: Path,
     replayed: Sequence[str] = (),
-    draws: int = DRAWS,
+    draws: int = 20,
     jobs: int = 1,
     command: str = "",
     progress: Progress = no_progress,
@@ -233,6 +226,7 @@ class TwinResult:
     def sentences(self) -> tuple[str, ...]:
         """The result in a sentence each: noise, distributions, and the conclusion."""
         at = float(np.median(self.fitted.real.ranges))
+        unmatched = 1 - float(self.real.used.sum() / (~self.real.scans.even).sum())
         ours, theirs = (1000 * (n.sigma + n.sigma_relative * at) for n in (self.fitted.noise, self.sheet))
         return (
             f"At {at:.1f} m this lidar's noise is {ours:.1f} mm, that of {self.lidar} {theirs:.1f} mm.",
@@ -240,15 +234,10 @@ class TwinResult:
             f"{self.fitted.distance:.2f} with noise.yaml and {self.distance_before:.2f} with {self.lidar}.",
             *(self.replay.sentences if self.replay else ()),
             f"What differs most: {self._largest_difference()}.",
-            f"Not covered: {CAUSES}, scans that do not match the map ({100 * self._unmatched:.0f} %), "
+            f"Not covered: {CAUSES}, scans that do not match the map ({100 * unmatched:.0f} %), "
             "and what it lacks, such as people "
             f"({100 * _beam_shares(self.real)['on objects']:.1f} % of the beams).",
         )
-
-    @property
-    def _unmatched(self) -> float:
-        """Share of the odd blocks' scans that do not match the map."""
-        return 1 - float(self.real.used.sum() / (~self.real.scans.even).sum())
 
     def _largest_difference(self) -> str:
         """Return the figure with the largest factor between log and simulation, in words."""
@@ -292,7 +281,6 @@ class TwinResult:
             "map_width": [None if math.isnan(width) else width for width in f.map_width.tolist()],
             "map_share": map_share,
             "by_range": {"real": curve(sample), "simulated": curve(f.simulated)},
-            "by_incidence": _by_incidence(self.real),
             "standstill": self.standstill,
             "odometry": self.odometry and {k: v for k, v in vars(self.odometry).items() if k != "samples"},
             "replay": None if self.replay is None else self.replay.figures(),
@@ -325,20 +313,6 @@ def _clusters(found: BoolArray) -> BoolArray:
     for k in range(CLUSTER):
         members[:, k : found.shape[1] - CLUSTER + 1 + k] |= begins
     return members
-
-
-def _by_incidence(real: LogComparison) -> list[dict[str, float]]:
-    """Return count, bias and width of the residuals by incidence, degrees."""
-    residual, _, cosine, _ = real.residuals()
-    angle, rows = np.degrees(np.arccos(np.minimum(cosine, 1.0))), []
-    for low, high in ((0, 15), (15, 30), (30, 45), (45, 60), (60, 70)):
-        found = residual[(angle >= low) & (angle < high)]
-        if len(found):
-            low_, bias, high_ = np.quantile(found, (0.1587, 0.5, 0.8413)).tolist()
-            rows.append(
-                {"from": low, "to": high, "beams": len(found), "bias": bias, "width": (high_ - low_) / 2}
-            )
-    return rows
 
 
 def write_page(folder: Path, result: TwinResult, command: str) -> None:

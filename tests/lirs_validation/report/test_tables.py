@@ -14,7 +14,13 @@ from rich.console import Console
 from lirs_validation.record.metric_catalog import metric_lines, picture_lines
 from lirs_validation.record.run_record import SUCCEEDED
 from lirs_validation.record.verdict import judge
-from lirs_validation.report.run_tables import ended_lines, results_table, summary_table, verdict_lines
+from lirs_validation.report.run_tables import (
+    ended_lines,
+    results_table,
+    summary_table,
+    verdict_lines,
+    verdicts_by_method,
+)
 from lirs_validation.report.table import ReportTable
 from tests.lirs_validation.records import entry
 
@@ -184,6 +190,17 @@ def test_verdicts_are_counted_by_group_and_one_run_has_its_sentence() -> None:
     other = verdict_lines([runs[0], entry(attitude="none")])
     assert other[1].startswith("verdict, attitude: none: hector on husky ")
     assert alone[1].startswith("verdict: gmapping on husky loses its way on simple.")
+
+
+def test_the_sentence_of_several_runs_names_its_seed_and_their_spread() -> None:
+    runs = [entry(seed=seed, ate=ate) for seed, ate in ((1, 0.02), (2, 0.03), (3, 0.9))]
+    (row,) = verdicts_by_method([*runs, entry(seed=4, status="error")]).texts()
+    assert row[-1].startswith(
+        "In 3 of 4 drives the path error is between 0.020 and 0.900 m after 24.0 m. "
+        "Seed 3: hector on husky loses its way on simple."
+    )
+    (row,) = verdicts_by_method(runs[:1]).texts()
+    assert row[-1] == judge(runs[0]).sentence
 
 
 def test_verdicts_of_many_groups_are_counted_by_mapper() -> None:
