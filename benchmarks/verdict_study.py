@@ -2,13 +2,15 @@
 
     python benchmarks/verdict_study.py drive [--data FOLDER] [--minutes 60] [--drives 20] [--quick]
     python benchmarks/verdict_study.py features [--data FOLDER] [--quick]
+    python benchmarks/verdict_study.py inside [--methods hector,gmapping,cartographer] [--drives 5]
     python benchmarks/verdict_study.py evaluate | fit | streams
 
 `drive` adds classes of drives to `verdict_drives.csv`, a letter each, and goes on where the last call ended.
 `features` writes the features of the worlds to `verdict_sites.csv`. `evaluate` reads both: Brier scores of
 the forecast with one family of worlds left out at a time, a table of reliability, and error rates of the
 sequential test on random streams (`streams` prints these alone) and on the stored drives. `fit` stores the
-models that `lirs-wct verdict` uses.
+models that `lirs-wct verdict` uses. `inside` drives anew and prints which share of the errors lies in
+the 95 % ellipses that methods claim, run by run.
 """
 
 from __future__ import annotations
@@ -36,6 +38,7 @@ from lirs_extensions.decide.forecast import FEATURES, DriveSite, LogisticModel, 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
+from lirs_validation.record.run_record import RunRecord
 from lirs_wct import MapperError, WctError
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.files import atomic_write, write_json
@@ -169,12 +172,32 @@ def drive(options: argparse.Namespace) -> None:
 
 def letter_of(config: RunConfig, scenario: Scenario, cache: ScenarioCache) -> str:
     """Return the letter of a drive's class."""
-    built = scenario.config
     try:
-        ended = run(replace(config, source=built.source, build=built.build), scenarios=cache)
+        return LETTERS[_ended(config, scenario, cache).verdict.kind]
     except MapperError:
         return LETTERS["failed"]
-    return LETTERS[ended.record.verdict.kind]
+
+
+def _ended(config: RunConfig, scenario: Scenario, cache: ScenarioCache) -> RunRecord:
+    built = scenario.config
+    return run(replace(config, source=built.source, build=built.build), scenarios=cache).record
+
+
+def inside_rows(options: argparse.Namespace) -> Iterator[Row]:
+    """Yield the shares of errors in the claimed 95 % ellipses, by method and family."""
+    shares: dict[tuple[str, str], list[float]] = {}
+    for site in chosen_sites(options):
+        scenario, cache = None, ScenarioCache()
+        for method in options.methods:
+            for config in configs(site, method, range(1, options.drives + 1)):
+                cache.put(scenario := scenario or site.scenario(config))
+                share = _ended(config, scenario, cache).trajectory["inside_95"]
+                for family in (site.family, "all") if share is not None else ():
+                    shares.setdefault((method, family), []).append(share)
+    for (method, family), values in sorted(shares.items()):
+        low, median, high = np.quantile(values, (0.1, 0.5, 0.9)).tolist()
+        row: Row = {"method": method, "family": family, "runs": len(values), "mean": float(np.mean(values))}
+        yield row | {"10 %": low, "median": median, "90 %": high}
 
 
 def find_features(options: argparse.Namespace) -> None:
@@ -405,6 +428,8 @@ def main(words: Sequence[str] | None = None) -> None:
         actions[options.action](options)
     elif options.action == "evaluate":
         evaluate(options.tables)
+    elif options.action == "inside":
+        print_rows(inside_rows(options), width=110)
     elif options.action == "fit":
         write_json(Path(forecast.__file__).with_name(forecast.MODELS), fit_models(options.tables))
     else:
