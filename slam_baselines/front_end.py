@@ -11,7 +11,7 @@ import math
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from lirs_wct.geometry import (
     Pose2,
     Trajectory,
     compose_poses,
+    njit,
     relative_poses,
     wrap_angles,
 )
@@ -34,7 +35,7 @@ from slam_baselines.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints, interpolate_hits
 from slam_baselines.monitors import MonitorConfig, Monitors
 from slam_baselines.occupancy_map import NO_WALL, MapPyramid, OccupancyMap, UpdateConfig, bounding_box
-from slam_baselines.registration import Match
+from slam_baselines.registration import Match, invert3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,15 +137,8 @@ class DriftCovariance:
         x, y, _ = self._keyframes[anchor]
         floor = moved_covariance(self._covariances[anchor], pose.x - x, pose.y - y, 0.0, 0.0)
         floor += self._deviation**2 * np.diag((1.0, 1.0, view_range(hits) ** -2))
-        shares, axes = common_axes(matched, prior)
-        inverse = np.linalg.inv(axes)
-        information = (inverse.T * np.maximum(1 / np.maximum(shares, 1e-12) - 1, 0.0)) @ inverse
-        shares, axes = common_axes(self.covariance, floor)
-        excess = (axes * np.maximum(shares - 1, 0.0)) @ axes.T
-        left = excess @ np.linalg.inv(np.eye(3) + information @ excess)
-        if excess[2, 2] > 0:
-            self._blind *= math.sqrt(min(max(left[2, 2] / excess[2, 2], 0.0), 1.0))
-        self.covariance = (axes * np.minimum(shares, 1.0)) @ axes.T + (left + left.T) / 2
+        self.covariance, left = above_floor(self.covariance, floor, prior, matched)
+        self._blind *= math.sqrt(left)
 
     def add_keyframe(self, pose: Pose2, hits: FloatArray) -> None:
         """Note a scan that enters the map with the present covariance."""
@@ -157,11 +151,25 @@ def view_range(hits: FloatArray) -> float:
     return max(float(np.linalg.norm(hits[:, :2])) / math.sqrt(max(len(hits), 1)), 0.1)
 
 
-def common_axes(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return shares (3,) and axes X (3, 3) of b = X X' and a = X diag(shares) X'."""
-    L = np.linalg.cholesky(b)
-    shares, turn = np.linalg.eigh(np.linalg.solve(L, np.linalg.solve(L, a).T))
-    return shares, L @ turn
+@njit
+def above_floor(P: Any, floor: Any, prior: Any, matched: Any) -> Any:
+    """Return a covariance after a match, and the share of the excess of yaw's variance that is left.
+
+    The excess of P over the floor falls by the information that took `prior` to `matched`, all (3, 3).
+    """
+    values, turn = np.linalg.eigh(floor)
+    whole, inverse = turn * np.sqrt(values), turn / np.sqrt(values)
+    shares, turn = np.linalg.eigh(inverse.T @ P @ inverse)
+    axes = whole @ turn  # floor = axes axes', P = axes diag(shares) axes'
+    root = np.sqrt(np.maximum(shares - 1, 0.0))
+    scaled = axes * root
+    # Negative where a search gave up the prior, and by rounding.
+    values, turn = np.linalg.eigh(scaled.T @ (invert3(matched) - invert3(prior)) @ scaled)
+    reduced = scaled @ turn
+    found = (axes * np.minimum(shares, 1.0)) @ axes.T + (reduced / (1 + np.maximum(values, 0.0))) @ reduced.T
+    excess = np.square(reduced[2]).sum()
+    left = (np.square(reduced[2]) / (1 + np.maximum(values, 0.0))).sum()
+    return (found + found.T) / 2, left / excess if excess > 0 else 1.0
 
 
 class FrontEnd:

@@ -6,7 +6,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from lirs_wct.geometry import FloatArray, Int32Array, IntArray, Pose2, Trajectory, wrap_angles
+from lirs_wct.geometry import FloatArray, Int32Array, IntArray, Pose2, Trajectory
 from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.gmapping.patches import PatchTables
 
@@ -129,13 +129,6 @@ class Particles(Generic[Maps]):
     def pose(self) -> Pose2:
         """`T_map_base` of the best particle at the last processed scan."""
         return Pose2(*self._poses[self.best].tolist())
-
-    @property
-    def spread(self) -> FloatArray:
-        """(3, 3) mean square of the weighted poses' differences from the best one's."""
-        off = self._poses - self._poses[self.best]
-        off[:, 2] = wrap_angles(off[:, 2])
-        return np.asarray((off.T * normalize(self._log_weights)) @ off)
 
     @property
     def best_leaf(self) -> int:

@@ -120,7 +120,6 @@ class GmappingOriginalMapper(PlanarMapper):
             self._particles.process_scan(kept.ends[kept.hits], increment)
             self._best, self._processed_at = self._particles.pose, now
             self._distance = self._turn = 0.0
-        self.covariance = self._particles.spread
         increment = self._processed_at.inverse() @ now
         self._scans.add(scan.stamp, len(self._kept) - 1, increment)
         return self._best @ increment
