@@ -47,7 +47,7 @@ PLANTED = {
 PLAN_SEED, SEED = 3, 2
 COLUMNS = (
     "log", "localized", "compared", "sigma, mm + mm/m", "map's share", "distance before, after",
-    "lost real, simulated", "standstill, mm", "CPU s",
+    "lost real, simulated", "CPU s",
 )  # fmt: skip
 ERRORS = ("log", "mapper", "error, m", "interval, m", "inside", "high / low", "lost draws, log")
 
@@ -73,12 +73,10 @@ def log_row(log: str, figures: dict[str, Any]) -> tuple[str, ...]:
         for k in ("fitted", "low", "high")
     )
     scans, beams = figures["scans"], figures["beams"]
-    still = figures["standstill"]
     return (
         log, f"{scans['localized']} of {scans['odd blocks']}", f"{beams['compared']:.2f}",
         f"{fitted} [{low}, {high}]", f"{figures['map_share']:.2f}",
         f"{distance['before']:.3f}, {distance['after']:.3f}", f"{lost['real']:.4f}, {lost['simulated']:.4f}",
-        "-" if still is None else f"{1000 * still:.1f}",
     )  # fmt: skip
 
 

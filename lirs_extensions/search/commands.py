@@ -149,7 +149,7 @@ def twin(options: TwinCommand, given: Annotated[dict[str, Any], MapConfig]) -> N
             lidar=options.lidar,
             seed=config.seed,
             out=options.output,
-            replayed=parse_mappers(options.replay or config.mapper),
+            replayed=(config.mapper,) if options.replay is None else parse_mappers(options.replay),
             draws=options.draws,
             jobs=options.jobs,
             command=command_line(),

@@ -23,6 +23,7 @@ from lirs_extensions.search.twin.surface import (
     WIDTH,
     LogComparison,
     align,
+    blocks_of,
     expected_beams,
     fit_surfaces,
     map_of,
@@ -37,22 +38,20 @@ from lirs_validation.metrics.trajectory import ErrorSpread
 from lirs_validation.record.metric_catalog import NOTHING
 from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.engines import Failure, Job, WorkerPool
-from lirs_wct import FloatArray, LaserScan, Pose2, SourceError, Trajectory, unknown_name
+from lirs_wct import FloatArray, IntArray, LaserScan, Pose2, SourceError, Trajectory, unknown_name
 from lirs_wct.drawing.canvas import BLUE, GRAY, VERMILLION, Drawing, new_figure, plain_axes, title
 from lirs_wct.formats import drive_files
 from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import MAPPERS
 
-REPLAYED = (
-    "hector", "gmapping", "cartographer", "hector_original", "gmapping_original", "cartographer_original",
-)  # fmt: skip
-"""Mappers of a replay."""
+OWN: dict[str, Any] = {"mapper_python": None, "parameters": "", "resolution": None}
+"""Options that count for the mapper of the config alone, and their values for others."""
 
 
 def parse_mappers(text: str) -> tuple[str, ...]:
     """Return the mappers of a replay: names with commas, `all` or `none`."""
     if text in ("all", "none"):
-        return REPLAYED if text == "all" else ()
+        return tuple(MAPPERS) if text == "all" else ()
     names = tuple(text.split(","))
     for name in names:
         if name not in MAPPERS:
@@ -143,6 +142,7 @@ class TwinPath:
         exact: (n, beams) ranges to the map's walls, meters; inf = no wall.
         objects: (n, beams) ranges as the log has them where it saw what the map lacks, such as people or an
             open door, meters; NaN elsewhere.
+        residual: (n, beams) measured less expected ranges elsewhere, meters; NaN where they are unknown.
         odometry: (n, 3) poses of the base by the log's odometry; None where it holds none.
     """
 
@@ -150,18 +150,37 @@ class TwinPath:
     truth: Trajectory
     exact: FloatArray
     objects: FloatArray
+    residual: FloatArray
     odometry: FloatArray | None
 
-    def simulate_log(self, noise: SensorNoise, seed: int) -> list[tuple[LaserScan, Pose2]]:
-        """Return the scans and the odometry that simulated sensors record; odometry may be constant."""
+    def simulate_log(
+        self, noise: SensorNoise, seed: int, *, resampled: bool = False
+    ) -> list[tuple[LaserScan, Pose2]]:
+        """Return the scans and the odometry that simulated sensors record; odometry may be constant.
+
+        The beams' noise is drawn beam by beam, or `resampled` from the log's residuals.
+        """
         assert isinstance(noise.lidar, LidarNoise)
         drawn = noisy_ranges(self.exact, self.scans[0].range_max, noise.lidar, seed)
+        if resampled:
+            other = self.exact + self.residual[resample_blocks(self.truth, np.random.default_rng(seed))]
+            drawn = np.where(np.isfinite(other), other, drawn)
         ranges = np.where(np.isnan(self.objects), drawn, self.objects).astype(np.float32)
         scans = [replace(scan, ranges=row) for scan, row in zip(self.scans, ranges, strict=True)]
         odometry = [Pose2()] * len(scans)
         if self.odometry is not None:
             odometry = simulate_odometry(self.truth, noise, seed)
         return list(zip(scans, odometry, strict=True))
+
+
+def resample_blocks(truth: Trajectory, rng: np.random.Generator) -> IntArray:
+    """Return (n,) a scan for each scan of a path: each block has those of a random block, in their order."""
+    block = blocks_of(truth.planar_at(truth.stamps))
+    members = [np.flatnonzero(block == b) for b in np.unique(block)]
+    sources = rng.integers(len(members), size=len(members)).tolist()
+    return np.concatenate(
+        [np.resize(members[source], len(own)) for own, source in zip(members, sources, strict=True)]
+    )
 
 
 def place_log(mapped: MappedLog, usual: Sequence[int], real: LogComparison) -> TwinPath:
@@ -179,7 +198,8 @@ def place_log(mapped: MappedLog, usual: Sequence[int], real: LogComparison) -> T
             poses[k] = poses[k - 1]  # A robot that stands has one pose.
     exact = expected_beams(map_of(whole), surfaces, replace(log, poses=poses)).ranges
     with np.errstate(invalid="ignore"):
-        lacking = localized & np.isfinite(log.ranges) & ~(np.abs(log.ranges - exact) <= GATE)
+        residual = np.where(localized & np.isfinite(log.ranges), log.ranges - exact, np.nan)
+        lacking = np.isfinite(log.ranges) & localized & ~(np.abs(residual) <= GATE)
     mounts = (scan.T_base_laser.to_pose2().inverse() for scan in scans)
     truth = [Pose2(*pose) @ mount for pose, mount in zip(poses.tolist(), mounts, strict=True)]
     stamps = [scan.stamp for scan in scans]
@@ -189,6 +209,7 @@ def place_log(mapped: MappedLog, usual: Sequence[int], real: LogComparison) -> T
         Trajectory.from_poses(stamps, truth),
         exact,
         np.where(lacking, log.ranges, np.nan),
+        np.where(lacking, np.nan, residual),
         np.array(rows) if len(rows) == len(scans) else None,
     )
 
@@ -225,25 +246,31 @@ def replay_log(
 ) -> Replay:
     """Map a log and its simulations by some mappers; return their errors.
 
-    Each noise has a simulated log with a seed of its own, also of the mapper. The truth of the log is its
+    Each noise has a simulated log with a seed of its own, also of the mapper; every second one has residuals
+    of the log, since neighboring beams and scans err alike to an unknown degree. The truth of the log is its
     relations or its reference; without both only the simulations are mapped. The folder receives the first
     simulated log, and the true path.
     """
     drive_files.write_tum(folder / "truth.tum", path.truth)
-    logs = [path.simulate_log(noise, config.seed + k) for k, noise in enumerate(noises)]
+    logs = [path.simulate_log(noise, config.seed + k, resampled=k % 2 == 1) for k, noise in enumerate(noises)]
     written = [folder / f"simulated-{config.seed + k}.clf.gz" for k in range(len(logs))]
     for file, log in zip(written, logs, strict=True):
         drive_files.write_scans(file, log)
     on_path = None if truth[0] is None else _relations_on(path.truth, truth[0])
-    own: dict[str, Any] = {"mapper_python": None, "parameters": "", "resolution": None, "second": "none"}
-    real = replace(config, relations=None, reference=None, **own)
-    draws = [MapConfig(log=str(file), seed=config.seed + k, second="none") for k, file in enumerate(written)]
     rows = []
     with process_pool(jobs) as pool:
         for name in names:
-            tasks = [partial(_map_once, replace(draw, mapper=name), on_path, path.truth) for draw in draws]
+            own = {
+                key: getattr(config, key) if name == config.mapper else value for key, value in OWN.items()
+            }
+            options = {"mapper": name, "second": "none"} | own
+            draws = [
+                MapConfig(log=str(file), seed=config.seed + k, **options) for k, file in enumerate(written)
+            ]
+            tasks = [partial(_map_once, draw, on_path, path.truth) for draw in draws]
             if truth != (None, None):
-                tasks.append(partial(_map_once, replace(real, mapper=name), *truth))
+                real = replace(config, relations=None, reference=None, **options)
+                tasks.append(partial(_map_once, real, *truth))
             rows.append(_replay_mapper(name, tasks, len(draws), pool, progress))
     for file in written[1:]:
         file.unlink()

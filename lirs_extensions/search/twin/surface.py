@@ -336,14 +336,9 @@ class LogComparison:
     compared: BoolArray
     residual: FloatArray
 
-    @property
-    def noise(self) -> BoolArray:
-        """(n, beams) compared beams whose residual counts as noise."""
-        return self.compared & (np.abs(self.residual) <= GATE)
-
     def residuals(self) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return residual, expected range and block of the noise's beams, (m,)."""
-        some = self.noise
+        some = self.compared & (np.abs(self.residual) <= GATE)
         rows, _ = np.nonzero(some)
         return self.residual[some], self.beams.ranges[some], self.scans.block[rows]
 

@@ -50,11 +50,6 @@ LEAST_BLOCKS = 4
 """Fewest blocks of a log."""
 MOST_SCANS = 1500
 """Most scans of a comparison; of longer logs every second, third, ... scan is used."""
-STILL, STANDS = 20, (0.01, 0.01, 0.002)
-"""Fewest successive scans at standstill, and limit of its motion by the mapper, meters and radians. Shorter
-repetitions of a pose may be gaps of the odometry."""
-
-
 LIMIT = 0.1
 """Largest residual that the picture shows, meters."""
 NEGLIGIBLE = 1e-3
@@ -126,9 +121,7 @@ def _compare_and_fit(
     progress("fit", 0.8)
     odometry = [mapped.log.odometry[k] for k in kept]
     wheels = _fit_wheels(scans, odometry, real, fitted, seed)
-    path = mapped.trajectory.planar_at(np.array([scan.stamp for scan in mapped.log.scans]))
-    still = standstill(mapped.log.scans, mapped.log.odometry, path)
-    result = TwinResult(mapped.record.name, lidar, real, fitted, 1.0, wheels, still, len(mapped.log.scans))
+    result = TwinResult(mapped.record.name, lidar, real, fitted, 1.0, wheels, len(mapped.log.scans))
     before = Sample.of(compare(simulate_scans(real, log.poses, result.sheet, seed)))
     return replace(result, distance_before=residual_distance(fitted.real, before))
 
@@ -150,29 +143,6 @@ def _fit_wheels(
     return fit_odometry(measured, real.scans.poses, stamps, fitted.poses, length, seed)
 
 
-def standstill(
-    scans: Sequence[LaserScan], odometry: Sequence[Pose2 | None], poses: FloatArray
-) -> float | None:
-    """Return the median deviation of a beam's ranges while the robot stands still, meters.
-
-    None if it never does for `STILL` scans, by the odometry and by the mapper's `poses` (n, 3).
-    """
-    groups: list[list[int]] = []
-    for k, (scan, pose) in enumerate(zip(scans, odometry, strict=True)):
-        same = k > 0 and pose is not None and pose == odometry[k - 1]
-        if not same or len(scan.ranges) != len(scans[k - 1].ranges):
-            groups.append([])
-        groups[-1].append(k)
-    found = [np.zeros(0)]
-    for group in groups:
-        if len(group) >= STILL and (np.ptp(poses[group], axis=0) < STANDS).all():
-            ranges = np.stack([np.where(scans[k].hits, scans[k].ranges, np.nan) for k in group])
-            deviation = ranges.std(axis=0, ddof=1)
-            found.append(deviation[np.isfinite(deviation)])
-    values = np.concatenate(found)
-    return float(np.median(values)) if len(values) else None
-
-
 @dataclass(frozen=True)
 class TwinResult:
     """Result of a twin test.
@@ -181,7 +151,6 @@ class TwinResult:
         real: Comparison of the log's odd blocks with the map of its even blocks.
         distance_before: Kolmogorov distance of a simulation with the data sheet's noise.
         odometry: Errors of the odometry; None where the log has none, or is too short.
-        standstill: Median deviation of a beam while the robot stands, meters; None = it never does.
         total: Number of scans of the log.
         replay: Errors of mappers on the log and on its simulation; None = not requested.
     """
@@ -192,7 +161,6 @@ class TwinResult:
     fitted: FittedNoise
     distance_before: float
     odometry: FittedOdometry | None
-    standstill: float | None
     total: int
     replay: Replay | None = None
 
@@ -281,7 +249,6 @@ class TwinResult:
             "map_width": [None if math.isnan(width) else width for width in f.map_width.tolist()],
             "map_share": map_share,
             "by_range": {"real": curve(sample), "simulated": curve(f.simulated)},
-            "standstill": self.standstill,
             "odometry": self.odometry and {k: v for k, v in vars(self.odometry).items() if k != "samples"},
             "replay": None if self.replay is None else self.replay.figures(),
         }

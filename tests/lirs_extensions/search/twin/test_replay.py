@@ -54,13 +54,32 @@ def test_without_noise_the_simulated_log_is_exact() -> None:
     exactly = SensorNoise(
         lidar=LidarNoise(), odometry=OdometryConfig(scale_sigma=0), imu=ImuConfig(rate_sigma=0, rate_bias=0)
     )
-    log = TwinPath(scans, path, exact, objects, path.planar_at(path.stamps)).simulate_log(exactly, seed=1)
+    residual = np.full(exact.shape, np.nan)
+    twin = TwinPath(scans, path, exact, objects, residual, path.planar_at(path.stamps))
+    log = twin.simulate_log(exactly, seed=1, resampled=True)
     exact[3, 2] = 0.5
     np.testing.assert_allclose([scan.ranges for scan, _ in log], exact, rtol=1e-6)
     T_odom_map = path.pose2(0).inverse()
     for k, (scan, odometry) in enumerate(log):
         assert scan.stamp == path.stamps[k]
         np.testing.assert_allclose(odometry.as_array(), (T_odom_map @ path.pose2(k)).as_array(), atol=1e-9)
+
+
+def test_resampled_noise_is_that_of_blocks_of_the_log() -> None:
+    path, rng = turning_path(30.0), np.random.default_rng(2)
+    scans = tuple(LaserScan(np.ones(9, np.float32), -1.0, 0.2, 0.0, 30.0, stamp) for stamp in path.stamps)
+    exact = rng.uniform(1, 20, (len(scans), 9))
+    residual = 0.01 * np.arange(exact.size).reshape(exact.shape) / exact.size
+    objects = np.full(exact.shape, np.nan)
+    noise = SensorNoise(lidar=LidarNoise(sigma=0.05))
+    twin = TwinPath(scans, path, exact, objects, residual, None)
+    drawn = np.array([scan.ranges for scan, _ in twin.simulate_log(noise, seed=4, resampled=True)]) - exact
+    source = np.round(drawn[:, 0] / residual[1, 0]).astype(int)
+    np.testing.assert_allclose(drawn, residual[source], atol=2e-6)
+    assert (np.diff(source) == 1).mean() > 0.9, "scans of a block stay together"
+    assert len(set(source.tolist())) < len(scans), "with replacement"
+    plain = np.array([scan.ranges for scan, _ in twin.simulate_log(noise, seed=4)]) - exact
+    assert plain.std() == pytest.approx(0.05, rel=0.1)
 
 
 def test_odometry_errors_of_log_and_simulation_are_compared() -> None:

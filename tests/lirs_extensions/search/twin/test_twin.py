@@ -24,11 +24,11 @@ from lirs_extensions.search.twin.surface import (
     compare,
     fit_surfaces,
 )
-from lirs_extensions.search.twin.twin import TwinResult, _beam_shares, standstill
+from lirs_extensions.search.twin.twin import TwinResult, _beam_shares
 from lirs_validation.cli import app as cli
 from lirs_validation.cli.command import PROGRAM
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry import LaserScan, Pose2, WallGrid
+from lirs_wct.geometry import Pose2, WallGrid
 from lirs_wct.sources.laser_map import level_floor
 
 ROOT = Path(__file__).parents[4]
@@ -86,7 +86,7 @@ def test_planted_noise_is_recovered(
     assert fitted.noise.quantization == 0.01
     assert fitted.distance < 0.05
     assert fitted.low.dropout < fitted.noise.dropout < fitted.high.dropout
-    result = TwinResult("room", "lms100", real, fitted, 1.0, None, None, len(scans.poses))
+    result = TwinResult("room", "lms100", real, fitted, 1.0, None, len(scans.poses))
     drawn = [result.draw_noise(np.random.default_rng(k)).lidar for k in range(40)]
     assert set(drawn) <= set(fitted.samples)
     assert len(set(drawn)) > 5, "noise has the fit's uncertainty"
@@ -192,20 +192,6 @@ def test_steps_of_ranges_are_found() -> None:
         0.001,
     ]
     assert resolution_of(ranges) == 0
-
-
-def test_standstill_is_measured_while_the_odometry_rests() -> None:
-    rng = np.random.default_rng(7)
-    noise = rng.normal(4, 0.02, (40, 90)).astype(np.float32)
-    noise[20:] += 1
-    scans = [LaserScan(row, -1.5, 0.03, 0.0, 30.0, k * 0.1) for k, row in enumerate(noise)]
-    rests = [Pose2() if k < 20 else Pose2(1.0) for k in range(40)]
-    poses = np.zeros((40, 3))
-    assert standstill(scans, rests, poses) == pytest.approx(0.02, rel=0.1)
-    assert standstill(scans, [Pose2(0.1 * k) for k in range(40)], poses) is None
-    assert standstill(scans, [None] * 40, poses) is None
-    poses[:, 0] = 0.1 * np.arange(40)
-    assert standstill(scans, rests, poses) is None, "the mapper sees a motion"
 
 
 def test_a_log_that_is_too_short_is_named(
