@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     )
     from lirs_wct.export.package import write_package
     from lirs_wct.geometry import (
+        COVARIANCE,
         HeightField,
         Imu,
         ImuReadings,
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
         Pose3,
         Trajectory,
         WallGrid,
+        in_axes_of,
+        is_covariance,
         wrap_angle,
     )
     from lirs_wct.geometry.mesh import TriangleMesh
@@ -42,7 +45,7 @@ _NAMES = {
     "export.package": "write_package",
     "geometry.grid": "HeightField OccupancyGrid WallGrid",
     "geometry.mesh": "TriangleMesh",
-    "geometry.pose": "Pose2 Pose3 Trajectory wrap_angle",
+    "geometry.pose": "COVARIANCE Pose2 Pose3 Trajectory in_axes_of is_covariance wrap_angle",
     "geometry.scan": "Imu ImuReadings LaserScan PointCloud",
     "sources.build": "build_world",
     "sources.source": "BuildOptions",
@@ -51,6 +54,7 @@ _NAMES = {
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 __all__ = [
+    "COVARIANCE",
     "BoolArray",
     "BuildOptions",
     "ByteArray",
@@ -77,6 +81,8 @@ __all__ = [
     "WctError",
     "World",
     "build_world",
+    "in_axes_of",
+    "is_covariance",
     "unknown_name",
     "wrap_angle",
     "write_package",

@@ -139,13 +139,6 @@ class PoseEstimate:
     covariance: FloatArray
 
 
-def in_axes_of(frame: Pose2, matrix: FloatArray) -> FloatArray:
-    """Rotate a covariance or information (3, 3) of a pose into a frame's axes."""
-    c, s = math.cos(frame.yaw), math.sin(frame.yaw)
-    R = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
-    return np.asarray(R @ matrix @ R.T, dtype=np.float64)
-
-
 class MotionStep(NamedTuple):
     """Step `T_before_now` by dead reckoning, independent of its start.
 
@@ -293,6 +286,86 @@ def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) ->
     R[1, 2] = R[2, 1] = b + dx * c
     R[2, 2] = c + turn
     return R
+
+
+GYRO_BIAS = math.radians(0.02)
+"""Standard deviation of the constant error of a gyro that was zeroed at rest, rad/s."""
+ANCHOR_REACH = 0.5
+"""Distance up to which a scan is matched to what a keyframe drew, in ranges of the keyframe's view."""
+
+
+class DriftCovariance:
+    """Covariance of `T_map_base` with the errors of the map itself.
+
+    A match places a scan in what an earlier keyframe drew, and so with that keyframe's error. Dead reckoning
+    adds its variances; a match removes only what exceeds the covariance of the earliest keyframe in view, its
+    anchor, and of the place of a wall in the map.
+
+    Attributes:
+        covariance: (3, 3) of x, y, yaw in the map frame, meters and radians.
+        first: Index of the first keyframe in the map that scans are matched to.
+    """
+
+    def __init__(self, deviation: float) -> None:
+        """Start at the origin of a map that places walls with a standard deviation, meters."""
+        self.covariance: FloatArray = np.zeros((3, 3))
+        self._deviation, self._blind, self.first = deviation, 0.0, 0
+        self._keyframes = np.empty((0, 3))  # x, y, range of the view
+        self._covariances: list[FloatArray] = []
+
+    def move(self, dx: float, dy: float, noise: FloatArray, seconds: float) -> None:
+        """Add the noise (3, 3) of a step in the map frame, and the gyro's bias."""
+        self.covariance = moved_covariance(self.covariance, dx, dy, 0.0, 0.0) + noise
+        self.covariance[2, 2] += GYRO_BIAS**2 * seconds * (2 * self._blind + seconds)
+        self._blind += seconds
+
+    def match(self, pose: Pose2, prior: FloatArray, matched: FloatArray, hits: FloatArray) -> None:
+        """Remove the error that a match to `pose` corrects.
+
+        The covariances (3, 3) before and after it are relative to the map. Hits (n, 2 or more) are ends of
+        beams in the base frame, meters.
+        """
+        if len(self._covariances) <= self.first or not len(hits):
+            return
+        x, y, view = self._keyframes[self.first :].T
+        near = np.hypot(x - pose.x, y - pose.y) <= ANCHOR_REACH * view
+        anchor = self.first + int(near.argmax()) if near.any() else -1
+        x, y, _ = self._keyframes[anchor]
+        floor = moved_covariance(self._covariances[anchor], pose.x - x, pose.y - y, 0.0, 0.0)
+        floor += self._deviation**2 * np.diag((1.0, 1.0, view_range(hits) ** -2))
+        self.covariance, left = above_floor(self.covariance, floor, prior, matched)
+        self._blind *= math.sqrt(left)
+
+    def add_keyframe(self, pose: Pose2, hits: FloatArray) -> None:
+        """Note a scan that enters the map with the present covariance."""
+        self._keyframes = np.vstack((self._keyframes, (pose.x, pose.y, view_range(hits))))
+        self._covariances.append(self.covariance)
+
+
+def view_range(hits: FloatArray) -> float:
+    """Return the root mean square distance of hits (n, 2 or more), at least .1 m."""
+    return max(float(np.linalg.norm(hits[:, :2])) / math.sqrt(max(len(hits), 1)), 0.1)
+
+
+@njit
+def above_floor(P: Any, floor: Any, prior: Any, matched: Any) -> Any:
+    """Return a covariance after a match, and the share of the excess of yaw's variance that is left.
+
+    The excess of P over the floor falls by the information that took `prior` to `matched`, all (3, 3).
+    """
+    values, turn = np.linalg.eigh(floor)
+    whole, inverse = turn * np.sqrt(values), turn / np.sqrt(values)
+    shares, turn = np.linalg.eigh(inverse.T @ P @ inverse)
+    axes = whole @ turn  # floor = axes axes', P = axes diag(shares) axes'
+    root = np.sqrt(np.maximum(shares - 1, 0.0))
+    scaled = axes * root
+    # Negative where a search gave up the prior, and by rounding.
+    values, turn = np.linalg.eigh(scaled.T @ (np.linalg.inv(matched) - np.linalg.inv(prior)) @ scaled)
+    reduced = scaled @ turn
+    found = (axes * np.minimum(shares, 1.0)) @ axes.T + (reduced / (1 + np.maximum(values, 0.0))) @ reduced.T
+    excess = np.square(reduced[2]).sum()
+    left = (np.square(reduced[2]) / (1 + np.maximum(values, 0.0))).sum()
+    return (found + found.T) / 2, left / excess if excess > 0 else 1.0
 
 
 class OdometryStep(NamedTuple):

@@ -33,13 +33,22 @@ from lirs_validation.driving.path_driver import Frame
 from lirs_validation.experiment.drive import Driver, planar
 from lirs_validation.experiment.mapper_under_test import Estimate, LocalMapper, SensorReadings
 from lirs_validation.experiment.recording import bag_tick
-from lirs_validation.metrics.trajectory import COVARIANCE, is_covariance
 from lirs_validation.processes import Cost
-from lirs_wct import ConfigError, FloatArray, LaserScan, OccupancyGrid, Pose2, Pose3, Trajectory
+from lirs_wct import (
+    COVARIANCE,
+    ConfigError,
+    FloatArray,
+    LaserScan,
+    OccupancyGrid,
+    Pose2,
+    Pose3,
+    Trajectory,
+    in_axes_of,
+    is_covariance,
+)
 from lirs_wct.formats.rosbag import frames, messages
 from lirs_wct.formats.rosbag.messages import SensorErrors, TickMessages, nanoseconds, occupancy_grid
 from lirs_wct.formats.rosbag.topics import MAP_TOPIC
-from slam_baselines.dead_reckoning import in_axes_of
 from slam_baselines.mapper import CloudMapper, Mapper, MapperStats
 
 MAP_PERIOD = 2.0

@@ -18,19 +18,26 @@ from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.logs.read_log import read_trajectory
 from lirs_validation.metrics.map import agreement, as_stored, map_scores, sample_like
 from lirs_validation.metrics.trajectory import (
-    COVARIANCE,
     MAX_GAP,
     StartAlignment,
     associated,
     inside_95,
-    is_covariance,
     nearest,
     rigid_alignment,
     start_alignment,
     trajectory_errors,
 )
 from lirs_validation.record.verdict import Verdict, incompleteness, judge
-from lirs_wct import ConfigError, FloatArray, Pose2, SourceError, Trajectory, wrap_angle
+from lirs_wct import (
+    COVARIANCE,
+    ConfigError,
+    FloatArray,
+    Pose2,
+    SourceError,
+    Trajectory,
+    is_covariance,
+    wrap_angle,
+)
 from lirs_wct.formats import drive_files, map_server
 
 Frame = Literal["auto", "map", "world", "align"]

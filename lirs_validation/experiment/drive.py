@@ -19,7 +19,6 @@ from lirs_validation.driving.path_driver import Frame
 from lirs_validation.experiment.lost_rule import LostRule
 from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest
 from lirs_validation.metrics.elevation import CloudSample
-from lirs_validation.metrics.trajectory import inside_95
 from lirs_validation.record.run_record import Status
 from lirs_wct import BoolArray, FloatArray, Imu, LaserScan, Pose2, Pose3, SimulationError, Trajectory
 from slam_baselines.dead_reckoning import spatial_odometry
@@ -287,15 +286,6 @@ class DriveLog:
     def online(self) -> Trajectory:
         """Return the mapper's online estimates in the map frame."""
         return Trajectory.from_poses(self.stamps, self.estimates)
-
-    def inside_95(self) -> float | None:
-        """Return the share of online positions within their claimed 95 % ellipse; None without any."""
-        T_start_world = self.truth[0].to_pose2().inverse()
-        return inside_95(
-            np.array([(T_start_world @ T.to_pose2()).as_array() for T in self.truth]),
-            np.array([self.in_plane(T).as_array() for T in self.estimates]),
-            self.covariances,
-        )
 
     def spatial_odometry(self) -> Trajectory:
         """Return dead reckoning in space by wheels, gyro and gravity, world frame."""

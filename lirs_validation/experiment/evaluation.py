@@ -18,6 +18,7 @@ from lirs_validation.metrics.map import MapScores, map_scores, observed_support
 from lirs_validation.metrics.trajectory import (
     StartAlignment,
     associated,
+    inside_95,
     scan_coverage,
     spatial_errors,
     start_alignment,
@@ -26,7 +27,7 @@ from lirs_validation.metrics.trajectory import (
 from lirs_validation.processes import is_shared
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, versions
 from lirs_validation.record.verdict import incompleteness
-from lirs_wct import FloatArray, OccupancyGrid, SimulationError, World
+from lirs_wct import FloatArray, OccupancyGrid, SimulationError, Trajectory, World
 from slam_baselines.front_end import KnownPoseMapper
 
 REPLAYED = 10.0
@@ -156,10 +157,11 @@ def evaluate_trajectory(log: DriveLog, simulation: Simulation) -> dict[str, Any]
     if log.spatial:
         errors |= asdict(spatial_errors(truth, estimate))
         errors["odometry_ate_rmse_3d"] = spatial_errors(truth, log.spatial_odometry()).ate_rmse_3d
-    online = log.online().moved(log.T_world_map)
+    online, T_map_world = log.online().moved(log.T_world_map), log.truth[0].to_pose2().inverse()
+    in_plane = Trajectory.from_poses(log.stamps, map(log.in_plane, log.estimates))
     return errors | {
         "ate_rmse_online": trajectory_errors(truth, online).ate_rmse,
-        "inside_95": log.inside_95(),
+        "inside_95": inside_95(truth.moved(T_map_world).xy, in_plane.xy, log.covariances),
         "odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse,
         **driven,
     }

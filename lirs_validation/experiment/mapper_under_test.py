@@ -21,9 +21,9 @@ import numpy as np
 
 from lirs_validation.config import DRIVERS, Attitude, MapConfig, RunConfig, driver_parts
 from lirs_validation.experiment.loading import interpreter_of, own_mapper, versions_there
-from lirs_validation.metrics.trajectory import COVARIANCE, is_covariance
 from lirs_validation.processes import ChildProcess, Cost, CostMeter, is_interrupt
 from lirs_wct import (
+    COVARIANCE,
     ConfigError,
     FloatArray,
     Imu,
@@ -36,6 +36,7 @@ from lirs_wct import (
     Pose3,
     Trajectory,
     WctError,
+    is_covariance,
     unknown_name,
 )
 from slam_baselines.mapper import (

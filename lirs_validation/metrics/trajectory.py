@@ -128,21 +128,10 @@ class ErrorSpread:
         return f"{self.inside} of {self.total}" if self.inside < self.total else f"all {self.total}"
 
 
-COVARIANCE = "3 x 3, finite, symmetric and positive semidefinite"
-"""Requirement on a covariance of x, y, yaw."""
 CHI2_95 = 5.991
 """95 % quantile of the squared Mahalanobis distance in the plane, -2 log .05."""
 ROUNDING = 1e-9
 """Variance that an estimate has by its numbers alone, square meters."""
-
-
-def is_covariance(matrix: FloatArray) -> bool:
-    """Return whether a matrix is a covariance of x, y, yaw."""
-    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        return False
-    tolerance = ROUNDING * max(1.0, float(abs(matrix).max()))
-    symmetric = abs(matrix - matrix.T).max() <= tolerance
-    return bool(symmetric and np.linalg.eigvalsh(matrix)[0] >= -tolerance)
 
 
 def inside_95(

@@ -7,11 +7,14 @@ are imported from here.
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.geometry.grid import FREE, OCCUPIED, HeightField, OccupancyGrid, WallGrid, mask_at, resample
 from lirs_wct.geometry.pose import (
+    COVARIANCE,
     Pose2,
     Pose3,
     Trajectory,
     Viewpoint,
     compose_poses,
+    in_axes_of,
+    is_covariance,
     relative_poses,
     wrap_angle,
     wrap_angles,
@@ -19,6 +22,7 @@ from lirs_wct.geometry.pose import (
 from lirs_wct.geometry.scan import FARTHEST, POINT, Imu, ImuReadings, LaserScan, PointCloud
 
 __all__ = [
+    "COVARIANCE",
     "FARTHEST",
     "FREE",
     "OCCUPIED",
@@ -41,6 +45,8 @@ __all__ = [
     "Viewpoint",
     "WallGrid",
     "compose_poses",
+    "in_axes_of",
+    "is_covariance",
     "mask_at",
     "njit",
     "relative_poses",

@@ -287,9 +287,28 @@ class Trajectory(ShownAsPicture):
         positions = np.matmul(self.positions[:, None], T.rotation.T)[:, 0] + T.position
         covariances = self.covariances
         if covariances is not None:
-            R = Pose3.from_pose2(Pose2(yaw=T.to_pose2().yaw)).rotation
-            covariances = R @ covariances @ R.T
+            covariances = in_axes_of(T.to_pose2().inverse(), covariances)
         return Trajectory(self.stamps.copy(), positions, np.column_stack(columns), covariances)
+
+
+COVARIANCE = "3 x 3, finite, symmetric and positive semidefinite"
+"""Requirement on a covariance of x, y, yaw."""
+
+
+def is_covariance(matrix: FloatArray) -> bool:
+    """Return whether a matrix is a covariance of x, y, yaw."""
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        return False
+    tolerance = 1e-9 * max(1.0, float(abs(matrix).max()))
+    symmetric = abs(matrix - matrix.T).max() <= tolerance
+    return bool(symmetric and np.linalg.eigvalsh(matrix)[0] >= -tolerance)
+
+
+def in_axes_of(frame: Pose2, matrix: FloatArray) -> FloatArray:
+    """Rotate a covariance or information (..., 3, 3) of a planar pose into a frame's axes."""
+    c, s = math.cos(frame.yaw), math.sin(frame.yaw)
+    R = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
+    return np.asarray(R @ matrix @ R.T, dtype=np.float64)
 
 
 def _yaw(quaternions: FloatArray) -> FloatArray:

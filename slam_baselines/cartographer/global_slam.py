@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_wct.geometry import ByteArray, FloatArray, IntArray, Pose2
+from lirs_wct.geometry import ByteArray, FloatArray, IntArray, Pose2, in_axes_of
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.local_slam import NOWHERE, LocalSlam, Node, compose_estimates
 from slam_baselines.cartographer.loop_closure import (
@@ -34,7 +34,6 @@ from slam_baselines.cartographer.pose_graph import (
     start_optimization,
 )
 from slam_baselines.cartographer.submap import Submap
-from slam_baselines.dead_reckoning import in_axes_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lirs_wct.geometry import ByteArray, FloatArray, Imu, LaserScan, Pose2, wrap_angle
+from lirs_wct.geometry import ByteArray, FloatArray, Imu, LaserScan, Pose2, in_axes_of, wrap_angle
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.submap import Submaps
-from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate, in_axes_of, moved_covariance
+from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate, moved_covariance
 from slam_baselines.front_end import FrontEnd, Keyframe, MotionFilter, StartUp
 from slam_baselines.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.leveling import LeveledScan, ScanPoints, interpolate_hits

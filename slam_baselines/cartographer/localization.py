@@ -19,8 +19,7 @@ from lirs_wct.formats.map_server import read_map
 from lirs_wct.geometry import FloatArray, Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.cartographer.branch_and_bound import BoundGrids, Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.cartographer.config import CartographerConfig
-from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate
-from slam_baselines.front_end import view_range
+from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate, view_range
 from slam_baselines.leveling import LeveledScan, ScanLeveler, voxel_filter
 from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.monitors import TrackingMonitor

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, in_axes_of
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.local_slam import LocalSlam, Node
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
 from slam_baselines.cartographer.loop_closure import LoopEvent
-from slam_baselines.dead_reckoning import in_axes_of
 from slam_baselines.ground_filter import GroundFilter
 from slam_baselines.mapper import Mapper, MapperStats, PlanarMapper
 from slam_baselines.occupancy_map import NO_WALL, OccupancyMap, bounding_box

@@ -21,10 +21,11 @@ from lirs_wct.geometry import (
     OccupancyGrid,
     Pose2,
     Trajectory,
+    in_axes_of,
     wrap_angle,
 )
-from slam_baselines.dead_reckoning import PoseEstimate, in_axes_of
-from slam_baselines.front_end import DriftCovariance, Keyframe, StartUp
+from slam_baselines.dead_reckoning import DriftCovariance, PoseEstimate
+from slam_baselines.front_end import Keyframe, StartUp
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.motion import GyroBias, GyroBiasConfig, MotionIncrement, propagate, remove_bias

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lirs_wct.geometry import FloatArray, Pose2
-from slam_baselines.front_end import DriftCovariance, FrontEndConfig, Keyframe, KeyframeTrajectory, StartUp
+from slam_baselines.dead_reckoning import DriftCovariance
+from slam_baselines.front_end import FrontEndConfig, Keyframe, KeyframeTrajectory, StartUp
 from slam_baselines.leveling import LeveledScan
 
 NOTHING = np.empty((0, 3))

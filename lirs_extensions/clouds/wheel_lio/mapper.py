@@ -27,8 +27,7 @@ from lirs_extensions.clouds.wheel_lio.registration import (
 from lirs_extensions.clouds.wheel_lio.voxel_map import LineMap, LocalMap, PlaneMap
 from lirs_wct.errors import Checked, limited
 from lirs_wct.geometry import FloatArray, Imu, ImuReadings, PointCloud, Pose2, Pose3, Trajectory
-from slam_baselines.dead_reckoning import climb
-from slam_baselines.front_end import DriftCovariance
+from slam_baselines.dead_reckoning import DriftCovariance, climb
 from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
 
 GRAVITY = np.array((0.0, 0.0, 9.80665))
