@@ -109,7 +109,7 @@ class SequentialTest:
 
 @dataclass(frozen=True)
 class TrialDrive:
-    """One drive of a trial: class and sentence of its verdict, and the name of its folder.
+    """Drive of a trial: class and sentence of its verdict, and its folder.
 
     `reason` is the cause of an early end or that scans see no walls, `extent` the evaluated part of the
     world; path error and driven distance are in meters, None of a drive without result.

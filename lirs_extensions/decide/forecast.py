@@ -260,7 +260,7 @@ def _models() -> dict[str, LogisticModel]:
 
 
 def forecast(features: SiteFeatures, config: RunConfig) -> float | None:
-    """Return the probability that a drive works at a site; None for what was not studied.
+    """Return the probability that a drive works; None for what was not studied.
 
     The study drove tours of 60 s with the default sensors; docs/measured.md has its calibration.
     """

@@ -81,7 +81,7 @@ def _show(*lines: object) -> None:
 def tune(
     where: TuneFolder, run: Annotated[dict[str, Any], RunConfig], tuning: TuneOptions, build: World
 ) -> None:
-    """Search for parameters of a mapper that suit a world or log; print them by their ROS names.
+    """Search for parameters of a mapper that suit a world or log; print ROS names.
 
     The result is compared with the defaults on unseen seeds. The same command resumes.
 

@@ -174,7 +174,7 @@ class TwinPath:
 
 
 def resample_blocks(truth: Trajectory, rng: np.random.Generator) -> IntArray:
-    """Return (n,) a scan for each scan of a path: each block has those of a random block, in their order."""
+    """Return (n,) for each scan one of a random block, block by block."""
     block = blocks_of(truth.planar_at(truth.stamps))
     members = [np.flatnonzero(block == b) for b in np.unique(block)]
     sources = rng.integers(len(members), size=len(members)).tolist()
@@ -215,7 +215,7 @@ def place_log(mapped: MappedLog, usual: Sequence[int], real: LogComparison) -> T
 
 
 def simulate_odometry(truth: Trajectory, noise: SensorNoise, seed: int) -> list[Pose2]:
-    """Return `T_odom_base` by wheels and gyro with `noise` on a path; it rests where the path does."""
+    """Return `T_odom_base` by noisy wheels and gyro; it rests where the path does."""
     rng = np.random.default_rng(seed)
     wheels, imu = DistanceNoise(noise.odometry, rng), noise.imu
     bias = imu.rate_bias * rng.standard_normal()
