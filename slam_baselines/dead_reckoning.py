@@ -314,7 +314,7 @@ class DriftCovariance:
         self._covariances: list[FloatArray] = []
 
     def move(self, dx: float, dy: float, noise: FloatArray, seconds: float) -> None:
-        """Add the noise (3, 3) of a step in the map frame, and the gyro's bias."""
+        """Add a step's noise (3, 3) in the map frame, and a gyro's bias."""
         self.covariance = moved_covariance(self.covariance, dx, dy, 0.0, 0.0) + noise
         self.covariance[2, 2] += GYRO_BIAS**2 * seconds * (2 * self._blind + seconds)
         self._blind += seconds
@@ -343,13 +343,13 @@ class DriftCovariance:
 
 
 def view_range(hits: FloatArray) -> float:
-    """Return the root mean square distance of hits (n, 2 or more), at least .1 m."""
+    """Return the rms distance of hits (n, 2 or more), at least .1 m."""
     return max(float(np.linalg.norm(hits[:, :2])) / math.sqrt(max(len(hits), 1)), 0.1)
 
 
 @njit
 def above_floor(P: Any, floor: Any, prior: Any, matched: Any) -> Any:
-    """Return a covariance after a match, and the share of the excess of yaw's variance that is left.
+    """Return a covariance after a match, and the share of its excess left in yaw.
 
     The excess of P over the floor falls by the information that took `prior` to `matched`, all (3, 3).
     """

@@ -179,7 +179,7 @@ class Bridge:
 
 
 class ClientMapper:
-    """The client as the mapper of a drive, by its transforms and its /map (see `MapperUnderTest`)."""
+    """The client as mapper of a drive, by its transforms and /map (see `MapperUnderTest`)."""
 
     requires_odometry, reads_inertial = False, True
 

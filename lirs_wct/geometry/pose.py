@@ -305,7 +305,7 @@ def is_covariance(matrix: FloatArray) -> bool:
 
 
 def in_axes_of(frame: Pose2, matrix: FloatArray) -> FloatArray:
-    """Rotate a covariance or information (..., 3, 3) of a planar pose into a frame's axes."""
+    """Rotate covariances or informations (..., 3, 3) of planar poses into a frame's axes."""
     c, s = math.cos(frame.yaw), math.sin(frame.yaw)
     R = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
     return np.asarray(R @ matrix @ R.T, dtype=np.float64)

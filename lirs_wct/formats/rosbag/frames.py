@@ -44,7 +44,7 @@ def pose_of(position: Any, rotation: Any) -> Pose3:
 
 
 def planar_covariance(pose: Any) -> FloatArray:
-    """Return the covariance (3, 3) of x, y, yaw around a message's pose; NaN where it is unknown, all 0."""
+    """Return a message's covariance (3, 3) of x, y, yaw; NaN for none or zeros."""
     given = np.reshape(getattr(pose, "covariance", np.zeros(36)), (6, 6))[np.ix_((0, 1, 5), (0, 1, 5))]
     return np.asarray(given if given.any() else np.full((3, 3), np.nan), dtype=np.float64)
 
@@ -122,7 +122,7 @@ class Frames:
         return next(iter((*named, *in_odom, *moving, *on_tf, *elsewhere)), "")
 
     def odometry(self, base: str) -> tuple[list[Step], str]:
-        """Return the poses of a base in the odometry frame or the topmost one, and that frame."""
+        """Return a base's poses in the odometry frame or the topmost one, and that frame."""
         chain = self.chain(base)
         top = next((k for k, name in enumerate(chain) if _is_odom(name)), len(chain) - 1)
         names = chain[:top]
