@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     )
     from lirs_wct.export.package import write_package
     from lirs_wct.geometry import (
-        COVARIANCE,
         HeightField,
         Imu,
         ImuReadings,
@@ -30,8 +29,8 @@ if TYPE_CHECKING:
         Pose3,
         Trajectory,
         WallGrid,
+        covariance_fault,
         in_axes_of,
-        is_covariance,
         wrap_angle,
     )
     from lirs_wct.geometry.mesh import TriangleMesh
@@ -45,7 +44,7 @@ _NAMES = {
     "export.package": "write_package",
     "geometry.grid": "HeightField OccupancyGrid WallGrid",
     "geometry.mesh": "TriangleMesh",
-    "geometry.pose": "COVARIANCE Pose2 Pose3 Trajectory in_axes_of is_covariance wrap_angle",
+    "geometry.pose": "Pose2 Pose3 Trajectory covariance_fault in_axes_of wrap_angle",
     "geometry.scan": "Imu ImuReadings LaserScan PointCloud",
     "sources.build": "build_world",
     "sources.source": "BuildOptions",
@@ -54,7 +53,6 @@ _NAMES = {
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 __all__ = [
-    "COVARIANCE",
     "BoolArray",
     "BuildOptions",
     "ByteArray",
@@ -81,8 +79,8 @@ __all__ = [
     "WctError",
     "World",
     "build_world",
+    "covariance_fault",
     "in_axes_of",
-    "is_covariance",
     "unknown_name",
     "wrap_angle",
     "write_package",

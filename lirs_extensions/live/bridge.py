@@ -35,7 +35,6 @@ from lirs_validation.experiment.mapper_under_test import Estimate, LocalMapper, 
 from lirs_validation.experiment.recording import bag_tick
 from lirs_validation.processes import Cost
 from lirs_wct import (
-    COVARIANCE,
     ConfigError,
     FloatArray,
     LaserScan,
@@ -43,8 +42,8 @@ from lirs_wct import (
     Pose2,
     Pose3,
     Trajectory,
+    covariance_fault,
     in_axes_of,
-    is_covariance,
 )
 from lirs_wct.formats.rosbag import frames, messages
 from lirs_wct.formats.rosbag.messages import SensorErrors, TickMessages, nanoseconds, occupancy_grid
@@ -379,8 +378,8 @@ class Client:
     def _take_covariance(self, message: Any) -> None:
         given = frames.planar_covariance(message.pose)
         unknown = np.isnan(given).all()
-        if not (unknown or is_covariance(given)):
-            raise ConfigError(f"its covariance must be {COVARIANCE}")
+        if not unknown and (fault := covariance_fault(given)):
+            raise ConfigError(fault)
         self.covariance = None if unknown else given
 
     def _take_frames(self, message: Any) -> int:

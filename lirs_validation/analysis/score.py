@@ -28,16 +28,7 @@ from lirs_validation.metrics.trajectory import (
     trajectory_errors,
 )
 from lirs_validation.record.verdict import Verdict, incompleteness, judge
-from lirs_wct import (
-    COVARIANCE,
-    ConfigError,
-    FloatArray,
-    Pose2,
-    SourceError,
-    Trajectory,
-    is_covariance,
-    wrap_angle,
-)
+from lirs_wct import ConfigError, FloatArray, Pose2, SourceError, Trajectory, covariance_fault, wrap_angle
 from lirs_wct.formats import drive_files, map_server
 
 Frame = Literal["auto", "map", "world", "align"]
@@ -158,9 +149,8 @@ def _inside_95(path: Path | None, truth: Trajectory, estimate: Trajectory) -> fl
     assert estimate.covariances is not None
     claimed = [None if np.isnan(P).all() else P for P in estimate.covariances[j]]
     for P, stamp in zip(claimed, estimate.stamps[j].tolist(), strict=True):
-        if P is not None and not is_covariance(P):
-            numbers = " ".join(f"{number:.3g}" for number in P.flat)
-            raise SourceError(f"{path}: a covariance must be {COVARIANCE}, got {numbers} at {stamp:.3f} s")
+        if P is not None and (fault := covariance_fault(P)):
+            raise SourceError(f"{path}: {fault} at {stamp:.3f} s")
     return inside_95(truth.xy[i], estimate.xy[j], claimed)
 
 

@@ -23,7 +23,6 @@ from lirs_validation.config import DRIVERS, Attitude, MapConfig, RunConfig, driv
 from lirs_validation.experiment.loading import interpreter_of, own_mapper, versions_there
 from lirs_validation.processes import ChildProcess, Cost, CostMeter, is_interrupt
 from lirs_wct import (
-    COVARIANCE,
     ConfigError,
     FloatArray,
     Imu,
@@ -36,7 +35,7 @@ from lirs_wct import (
     Pose3,
     Trajectory,
     WctError,
-    is_covariance,
+    covariance_fault,
     unknown_name,
 )
 from slam_baselines.mapper import (
@@ -209,9 +208,8 @@ class LocalMapper:
             given = None if covariance is None else np.array(covariance, dtype=np.float64)
         except BaseException as error:
             self._raise_failure("covariance", error, f" {where}")
-        if given is not None and not is_covariance(given):
-            text = " ".join(np.array2string(given, threshold=9, precision=3).split())
-            raise MapperError(f"covariance must be {COVARIANCE}, or None, got {text} {where}")
+        if given is not None and (fault := covariance_fault(given)):
+            raise MapperError(f"{fault} {where}")
         return given
 
     def _ask(self, part: str, kind: type[T], required: str) -> T:

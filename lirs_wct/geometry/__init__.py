@@ -7,14 +7,13 @@ are imported from here.
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.geometry.grid import FREE, OCCUPIED, HeightField, OccupancyGrid, WallGrid, mask_at, resample
 from lirs_wct.geometry.pose import (
-    COVARIANCE,
     Pose2,
     Pose3,
     Trajectory,
     Viewpoint,
     compose_poses,
+    covariance_fault,
     in_axes_of,
-    is_covariance,
     relative_poses,
     wrap_angle,
     wrap_angles,
@@ -22,7 +21,6 @@ from lirs_wct.geometry.pose import (
 from lirs_wct.geometry.scan import FARTHEST, POINT, Imu, ImuReadings, LaserScan, PointCloud
 
 __all__ = [
-    "COVARIANCE",
     "FARTHEST",
     "FREE",
     "OCCUPIED",
@@ -45,8 +43,8 @@ __all__ = [
     "Viewpoint",
     "WallGrid",
     "compose_poses",
+    "covariance_fault",
     "in_axes_of",
-    "is_covariance",
     "mask_at",
     "njit",
     "relative_poses",

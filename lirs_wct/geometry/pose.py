@@ -291,17 +291,14 @@ class Trajectory(ShownAsPicture):
         return Trajectory(self.stamps.copy(), positions, np.column_stack(columns), covariances)
 
 
-COVARIANCE = "3 x 3, finite, symmetric and positive semidefinite"
-"""Requirement on a covariance of x, y, yaw."""
-
-
-def is_covariance(matrix: FloatArray) -> bool:
-    """Return whether a matrix is a covariance of x, y, yaw."""
-    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        return False
-    tolerance = 1e-9 * max(1.0, float(abs(matrix).max()))
-    symmetric = abs(matrix - matrix.T).max() <= tolerance
-    return bool(symmetric and np.linalg.eigvalsh(matrix)[0] >= -tolerance)
+def covariance_fault(matrix: FloatArray) -> str | None:
+    """Return why a matrix is no covariance of x, y, yaw; None if it is one."""
+    if matrix.shape == (3, 3) and np.isfinite(matrix).all():
+        tolerance = 1e-9 * max(1.0, float(abs(matrix).max()))
+        if abs(matrix - matrix.T).max() <= tolerance and np.linalg.eigvalsh(matrix)[0] >= -tolerance:
+            return None
+    text = " ".join(np.array2string(matrix, threshold=9, precision=3).split())
+    return f"covariance must be 3 x 3, finite, symmetric and positive semidefinite, got {text}"
 
 
 def in_axes_of(frame: Pose2, matrix: FloatArray) -> FloatArray:

@@ -154,7 +154,7 @@ def test_a_covariance_is_taken_over_as_a_copy() -> None:
     [np.eye(2), np.diag((1.0, np.nan, 1.0)), np.diag((1.0, -0.1, 1.0)), np.triu(np.ones((3, 3)))],
 )
 def test_an_invalid_covariance_is_the_mappers_error(covariance: FloatArray) -> None:
-    message = r"^covariance must be 3 x 3, finite, symmetric and positive semidefinite, or None, got \[.*1.5"
+    message = r"^covariance must be 3 x 3, finite, symmetric and positive semidefinite, got \[.*1.5"
     with pytest.raises(MapperError, match=message) as error:
         LocalMapper(Claims(covariance), "own").observe(SEEN)
     assert "\n" not in str(error.value)
