@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.errors import Checked, limited
-from lirs_wct.geometry import FloatArray, Imu, Pose2, Pose3, njit
+from lirs_wct.geometry import FloatArray, Imu, Pose2, Pose3, njit, wrap_angle
 
 Slope = tuple[float, float]
 """Descent of the ground per meter ahead and per meter to the left."""
@@ -290,6 +290,9 @@ def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) ->
 
 GYRO_BIAS = math.radians(0.02)
 """Standard deviation of the constant error of a gyro that was zeroed at rest, rad/s."""
+SLIDE = 1.0
+"""Standard deviation of the slide downhill per radian turned and unit of slope, meters: about the distance of
+a wheel from the robot's center over the friction."""
 ANCHOR_REACH = 0.5
 """Distance up to which a scan is matched to what a keyframe drew, in ranges of the keyframe's view."""
 
@@ -309,15 +312,25 @@ class DriftCovariance:
     def __init__(self, deviation: float) -> None:
         """Start at the origin of a map that places walls with a standard deviation, meters."""
         self.covariance: FloatArray = np.zeros((3, 3))
-        self._deviation, self._blind, self.first = deviation, 0.0, 0
+        self._deviation, self._blind, self._slid, self.first = deviation, 0.0, np.zeros(2), 0
         self._keyframes = np.empty((0, 3))  # x, y, range of the view
         self._covariances: list[FloatArray] = []
 
-    def move(self, dx: float, dy: float, noise: FloatArray, seconds: float) -> None:
-        """Add a step's noise (3, 3) in the map frame, and a gyro's bias."""
-        self.covariance = moved_covariance(self.covariance, dx, dy, 0.0, 0.0) + noise
-        self.covariance[2, 2] += GYRO_BIAS**2 * seconds * (2 * self._blind + seconds)
-        self._blind += seconds
+    def move(
+        self, before: Pose2, pose: Pose2, noise: FloatArray, seconds: float, slope: Slope = LEVEL
+    ) -> None:
+        """Add a step's noise (3, 3) in the map frame, and its systematic errors.
+
+        These are a gyro's bias and the slide of turning wheels on ground of a slope in the base frame.
+        """
+        P = moved_covariance(self.covariance, pose.x - before.x, pose.y - before.y, 0.0, 0.0) + noise
+        P[2, 2] += GYRO_BIAS**2 * seconds * (2 * self._blind + seconds)
+        turn, c, s = abs(wrap_angle(pose.yaw - before.yaw)), math.cos(pose.yaw), math.sin(pose.yaw)
+        slide = turn * np.array((c * slope[0] - s * slope[1], s * slope[0] + c * slope[1]))
+        if square := float(slide @ slide):
+            growth = 1 + 2 * max(float(slide @ self._slid), 0.0) / square
+            P[:2, :2] += SLIDE**2 * growth * np.outer(slide, slide)
+        self.covariance, self._blind, self._slid = P, self._blind + seconds, self._slid + slide
 
     def match(self, pose: Pose2, prior: FloatArray, matched: FloatArray, hits: FloatArray) -> None:
         """Remove the error that a match to `pose` corrects.
@@ -334,7 +347,7 @@ class DriftCovariance:
         floor = moved_covariance(self._covariances[anchor], pose.x - x, pose.y - y, 0.0, 0.0)
         floor += self._deviation**2 * np.diag((1.0, 1.0, view_range(hits) ** -2))
         self.covariance, left = above_floor(self.covariance, floor, prior, matched)
-        self._blind *= math.sqrt(left)
+        self._slid, self._blind = self._slid * math.sqrt(left[0]), self._blind * math.sqrt(left[1])
 
     def add_keyframe(self, pose: Pose2, hits: FloatArray) -> None:
         """Note a scan that enters the map with the present covariance."""
@@ -349,7 +362,7 @@ def view_range(hits: FloatArray) -> float:
 
 @njit
 def above_floor(P: Any, floor: Any, prior: Any, matched: Any) -> Any:
-    """Return a covariance after a match, and the share of its excess left in yaw.
+    """Return a covariance after a match; shares (2,) of its excess left in position and yaw.
 
     The excess of P over the floor falls by the information that took `prior` to `matched`, all (3, 3).
     """
@@ -363,9 +376,13 @@ def above_floor(P: Any, floor: Any, prior: Any, matched: Any) -> Any:
     values, turn = np.linalg.eigh(scaled.T @ (np.linalg.inv(matched) - np.linalg.inv(prior)) @ scaled)
     reduced = scaled @ turn
     found = (axes * np.minimum(shares, 1.0)) @ axes.T + (reduced / (1 + np.maximum(values, 0.0))) @ reduced.T
-    excess = np.square(reduced[2]).sum()
-    left = (np.square(reduced[2]) / (1 + np.maximum(values, 0.0))).sum()
-    return (found + found.T) / 2, left / excess if excess > 0 else 1.0
+    excess, left = np.full(2, 1e-300), np.full(2, 1e-300)
+    for i in range(3):
+        for j in range(3):
+            square = reduced[i, j] ** 2
+            excess[i // 2] += square
+            left[i // 2] += square / (1 + max(values[j], 0.0))
+    return (found + found.T) / 2, left / excess
 
 
 class OdometryStep(NamedTuple):

@@ -135,7 +135,8 @@ class FrontEnd:
         before, self.estimate = self.estimate, estimate if self.monitors.localizability.believed else prior
         dx, dy = prior.pose.x - before.pose.x, prior.pose.y - before.pose.y
         noise = prior.covariance - moved_covariance(before.covariance, dx, dy, 0.0, 0.0)
-        self.drift.move(dx, dy, noise, max(seconds, 0.0) if self.path else 0.0)
+        seconds = max(seconds, 0.0) if self.path else 0.0
+        self.drift.move(before.pose, prior.pose, noise, seconds, scan.ground_slope)
         if self.estimate is not prior:
             self.drift.match(self.estimate.pose, prior.covariance, self.estimate.covariance, scan.hits)
         return self.monitors.observe_fit(score, known)

@@ -277,7 +277,7 @@ class GmappingMapper(PlanarMapper):
         before, seconds = self._pose, max(scan.stamp - self._stamp, 0.0)
         delta, self._stamp = self._increment.add_odometry(odometry, imu, scan.stamp), scan.stamp
         noise = in_axes_of(self._filter.pose.inverse(), self._increment.newest)
-        self._drift.move(self._pose.x - before.x, self._pose.y - before.y, noise, seconds)
+        self._drift.move(before, self._pose, noise, seconds, scan.ground_slope)
         self._spacing += (math.hypot(delta.x, delta.y) + abs(delta.yaw) - self._spacing) / min(
             self.received, self.config.sparse_memory
         )

@@ -96,8 +96,8 @@ def drive(steps: int, *, matched: FloatArray | None = None, back: bool = False) 
     drift.add_keyframe(pose, WALLS)
     for k in range(2 * steps if back else steps):
         ahead = 0.1 if k < steps else -0.1
-        pose = Pose2(pose.x + ahead)
-        drift.move(ahead, 0.0, STEP, 0.1)
+        before, pose = pose, Pose2(pose.x + ahead)
+        drift.move(before, pose, STEP, 0.1)
         if matched is not None:
             prior = found[-1] + STEP if found else STEP
             drift.match(pose, prior, np.minimum(prior, matched), WALLS)
@@ -136,7 +136,18 @@ def test_a_match_leaves_the_direction_that_it_does_not_see() -> None:
     drift = DriftCovariance(0.01)
     drift.add_keyframe(Pose2(), WALLS)
     for k in range(1, 41):
-        drift.move(0.1, 0.0, STEP, 0.1)
+        drift.move(Pose2(0.1 * (k - 1)), Pose2(0.1 * k), STEP, 0.1)
         drift.match(Pose2(0.1 * k), 2 * STEP, np.diag((2e-4, 1e-8, 1e-10)), WALLS)
     assert drift.covariance[0, 0] == pytest.approx(40 * 1e-4, rel=0.05)
     assert drift.covariance[1, 1] == pytest.approx(0.01**2, rel=0.05)
+
+
+def test_turns_on_a_slope_slide_in_one_direction() -> None:
+    """The robot turns on the spot: the slide grows with the turn, not with its root, downhill alone."""
+    drift, turns = DriftCovariance(0.01), 100
+    for k in range(turns):
+        before, pose = Pose2(0.0, 0.0, 0.1 * k), Pose2(0.0, 0.0, 0.1 * (k + 1))
+        slope = 0.2 * math.cos(pose.yaw), -0.2 * math.sin(pose.yaw)  # uphill is the map's x
+        drift.move(before, pose, np.zeros((3, 3)), 0.0, slope)
+    slid = 0.2 * 0.1 * turns
+    np.testing.assert_allclose(drift.covariance, np.diag((slid**2, 0.0, 0.0)), atol=1e-12)

@@ -250,8 +250,8 @@ class WheelLioMapper:
     ) -> None:
         """Follow the covariance in the plane by a step and its match."""
         if self._poses:
-            dx, dy, _ = (prior.t - self._poses[-1].position).tolist()
-            self._drift.move(dx, dy, prior.planar, seconds)
+            expected = Pose2(float(prior.t[0]), float(prior.t[1]), pose.yaw)
+            self._drift.move(self._poses[-1].to_pose2(), expected, prior.planar, seconds)
             self._drift.match(pose, prior.planar, match.covariance, points)
         self.covariance = self._drift.covariance
 
