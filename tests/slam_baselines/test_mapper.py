@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from lirs_validation.experiment.mapper_under_test import mapper_named
+from lirs_validation.metrics.trajectory import inside_95
 from lirs_wct.errors import Checked, ConfigError
-from lirs_wct.geometry import OccupancyGrid
+from lirs_wct.geometry import FloatArray, OccupancyGrid, covariance_fault
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.mapper import (
@@ -21,6 +22,8 @@ from slam_baselines.mapper import (
     file_name,
     make_mapper,
     read_parameters,
+    room_pose,
+    room_scan,
     short_name,
 )
 
@@ -157,3 +160,25 @@ def test_every_checked_field_names_what_is_illegal(config: Any) -> None:
 def test_a_parameter_outside_its_interval_is_named(mapper: str, parameter: str, value: float) -> None:
     with pytest.raises(ConfigError, match=rf"^{parameter}( of {mapper})? must be .*, got {value:g}"):
         make_mapper(mapper, **{parameter: value})
+
+
+@pytest.mark.parametrize("name", ["hector", "gmapping", "cartographer"])
+def test_ours_claim_a_covariance_that_holds_their_errors(name: str) -> None:
+    """Around a room with wheels that measure 3 % too much; the originals claim none."""
+    mapper: Any = make_mapper(name)
+    start, odometry, last = room_pose(0.0), Pose2(), room_pose(0.0)
+    true, found, claimed = list[FloatArray](), list[FloatArray](), list[FloatArray]()
+    for k in range(60):
+        pose = room_pose(0.05 * k)
+        step, last = last.inverse() @ pose, pose
+        odometry = odometry @ Pose2(1.03 * step.x, step.y, step.yaw)
+        found.append(mapper.update(room_scan(pose, 0.1 * k), odometry, None).as_array())
+        true.append((start.inverse() @ pose).as_array())
+        assert covariance_fault(mapper.covariance) is None
+        claimed.append(mapper.covariance)
+    share = inside_95(np.array(true), np.array(found), claimed)
+    assert share is not None
+    assert share >= 0.9
+    assert np.sqrt(claimed[-1][0, 0]) < 0.2
+    original: Any = make_mapper(f"{name}_original")
+    assert original.covariance is None
