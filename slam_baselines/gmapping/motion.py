@@ -10,7 +10,7 @@ import numpy as np
 
 from lirs_wct.errors import Checked, limited
 from lirs_wct.geometry import FloatArray, Imu, Pose2
-from slam_baselines.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate, yaw_rate
+from slam_baselines.dead_reckoning import GYRO_BIAS, DeadReckoning, MotionConfig, PoseEstimate, yaw_rate
 from slam_baselines.registration import solve3
 
 ALIKE = np.array((1.0, 0.0))
@@ -31,7 +31,7 @@ class GyroBiasConfig(Checked):
             from.
     """
 
-    gyro_bias_prior: float = limited(math.radians(0.02), "(0, inf]")
+    gyro_bias_prior: float = limited(GYRO_BIAS, "(0, inf]")
     gyro_bias_drift: float = limited(math.radians(0.0002), "(0, inf]")
     heading_walk: float = limited(math.radians(0.1), "(0, inf]")
     heading_error: float = limited(math.radians(0.3), "(0, inf]")

@@ -232,10 +232,14 @@ class WheelLioMapper:
         self._motion.correct(match.R, match.t)
         quaternion = Rotation.from_matrix(match.R).as_quat(scalar_first=True)
         pose = Pose3.from_arrays(match.t, quaternion)
-        self._add_covariance(prior, match, pose.to_pose2(), predicted.seconds, points)
+        planar = pose.to_pose2()
+        if self._poses:
+            self._drift.move(self._poses[-1].to_pose2(), planar, prior.planar, predicted.seconds)
+            self._drift.match(planar, prior.planar, match.covariance, points)
+        self.covariance = self._drift.covariance
         if self._is_key(match):
             self._key = match
-            self._drift.add_keyframe(pose.to_pose2(), points)
+            self._drift.add_keyframe(planar, points)
             center = match.R @ origin + match.t
             self._map.planes.insert(points @ match.R.T + match.t, center)
             self._map.lines.insert(edges @ match.R.T + match.t, center)
@@ -244,16 +248,6 @@ class WheelLioMapper:
         self._used += not match.constraint.weak.all()
         self._watch.stop(started)
         return self._poses[0].inverse() @ self._poses[-1]
-
-    def _add_covariance(
-        self, prior: SpatialPrior, match: PlaneMatch, pose: Pose2, seconds: float, points: FloatArray
-    ) -> None:
-        """Follow the covariance in the plane by a step and its match."""
-        if self._poses:
-            expected = Pose2(float(prior.t[0]), float(prior.t[1]), pose.yaw)
-            self._drift.move(self._poses[-1].to_pose2(), expected, prior.planar, seconds)
-            self._drift.match(pose, prior.planar, match.covariance, points)
-        self.covariance = self._drift.covariance
 
     def _in_range(self, points: FloatArray) -> FloatArray:
         square = np.einsum("ij,ij->i", points, points)
