@@ -177,7 +177,7 @@ class MotionConfig(Checked):
 
     translation_per_meter: float = limited(0.04, "(0, inf]")
     translation_per_radian: float = limited(0.1, "(0, inf]")
-    slide_per_radian: float = limited(2.0, "(0, inf]")
+    slide_per_radian: float = limited(1.0, "(0, inf]")
     translation_per_second: float = limited(0.005, "(0, inf]")
     rotation_per_meter: float = limited(0.03, "(0, inf]")
     rotation_per_radian: float = limited(0.05, "(0, inf]")

@@ -117,7 +117,13 @@ class FrontEnd:
         self.stamp = -math.inf
 
     def monitor(
-        self, scan: LeveledScan, prior: PoseEstimate, estimate: PoseEstimate, match: Match | None
+        self,
+        scan: LeveledScan,
+        prior: PoseEstimate,
+        estimate: PoseEstimate,
+        match: Match | None,
+        *,
+        floor: bool,
     ) -> bool:
         """Take over a believed registration; return whether the scan may enter the map.
 
@@ -125,11 +131,11 @@ class FrontEnd:
         """
         seconds, self.stamp = scan.stamp - self.stamp, scan.stamp
         turn = math.remainder(prior.pose.yaw - self.estimate.pose.yaw, math.tau)
-        self.monitors.reckoned_yaw += turn
-        score, known, yaw = (None, 1.0, 0.0) if match is None else (match.score, match.known, match.pose[2])
+        score, known = (None, 1.0) if match is None else (match.score, match.known)
         if self.path:
             if scan.leveled:
-                self.monitors.observe_match(score, float(yaw), seconds)
+                moved = prior.pose.distance(self.estimate.pose) + LEVER * abs(turn)
+                self.monitors.localizability.observe(score, moved, floor=floor)
             self.matched += match is not None
             self.unmatched += match is None
         before, self.estimate = self.estimate, estimate if self.monitors.localizability.believed else prior
@@ -235,7 +241,7 @@ class MapBuilder:
 
     def weights(self, min_slopes: ByteArray) -> FloatArray | None:
         """Return (n,) weights of hits by their minimum slopes; None on a floor."""
-        return None if self.flat else self.ground_filter.graded_weights(min_slopes, self._wall_slope)
+        return None if self.flat else self.ground_filter.weights_among_walls(min_slopes, self._wall_slope)
 
     def match_weights(self, scan: LeveledScan, pose: Pose2) -> FloatArray | None:
         """Return the present (n,) weights of a scan's hits; None on a floor."""
@@ -299,6 +305,10 @@ class KnownPoseMapper:
 
 
 K = TypeVar("K", bound=Keyframe)
+
+
+REFINED_SHARE = 0.5
+"""Share of the keyframes that must fit for a refined start; on hillsides and between rocks fewer do."""
 
 
 class StartUp(Generic[K]):

@@ -120,6 +120,7 @@ class GroundFilterConfig(Checked):
         match_slope_limit: Slope of the steepest ground for matching, radians.
         full_weight_slope: Rise over run from which on a hit has full weight in matching; where it is less
             steep, an error of height shifts it more, and its weight falls with the square of the slope.
+        least_wall_share: Share of a scan's hits that must be on walls for any to be used in matching.
     """
 
     ground_resolution: float = limited(0.1, "(0, inf]")
@@ -139,6 +140,7 @@ class GroundFilterConfig(Checked):
     first_match_meters: float = 5.0
     match_slope_limit: float = limited(math.radians(40.0), "(0, inf]")
     full_weight_slope: float = limited(2.0, "(0, inf]")
+    least_wall_share: float = limited(0.15, "[0, 1]")
 
 
 class GroundFilter:
@@ -261,19 +263,32 @@ class GroundFilter:
         wall = self.match_wall_slope
         limits = float(wall), float(wall)
         slopes = self.min_slopes(scan, pose, height, known=known, drawn=drawn, limits=limits)
-        return (slopes >= wall).astype(np.float64)
+        return self._among_walls((slopes >= wall).astype(np.float64))
 
     def match_weights(
-        self, scan: LeveledScan, pose: Pose2, drawn: OccupancyMap, wall_slope: int
+        self,
+        scan: LeveledScan,
+        pose: Pose2,
+        drawn: OccupancyMap,
+        wall_slope: int,
+        height: float | None = None,
     ) -> FloatArray:
         """Return (n,) graded weights of hits; arguments as of min_slopes and graded_weights."""
         if wall_slope != self._weights[0]:
             every = np.arange(256, dtype=np.uint8)
             self._weights = wall_slope, self.graded_weights(every, wall_slope)
         limits = limits_for_weights(wall_slope, self.config.full_weight_slope)
-        slopes = self.min_slopes(scan, pose, drawn=drawn, limits=limits)
-        weights: FloatArray = self._weights[1].take(slopes)
-        return weights
+        slopes = self.min_slopes(scan, pose, height, drawn=drawn, limits=limits)
+        return self._among_walls(self._weights[1].take(slopes))
+
+    def weights_among_walls(self, min_slopes: ByteArray, wall_slope: int) -> FloatArray:
+        """Return (n,) graded weights of all hits of a scan."""
+        return self._among_walls(self.graded_weights(min_slopes, wall_slope))
+
+    def _among_walls(self, weights: FloatArray) -> FloatArray:
+        """Return weights of hits; all 0 with too few on walls: they may be ground."""
+        few = np.count_nonzero(weights) < self.config.least_wall_share * len(weights)
+        return np.zeros_like(weights) if few else weights
 
     def graded_weights(self, min_slopes: ByteArray, wall_slope: int) -> FloatArray:
         """Return (n,) weights: 1 on steep walls, less on slopes, 0 for possible ground."""

@@ -21,16 +21,21 @@ from slam_baselines.dead_reckoning import (
     OdometryStep,
     PoseEstimate,
 )
-from slam_baselines.front_end import BuilderConfig, FrontEnd, FrontEndConfig, Keyframe, MapBuilder, StartUp
+from slam_baselines.front_end import (
+    REFINED_SHARE,
+    BuilderConfig,
+    FrontEnd,
+    FrontEndConfig,
+    Keyframe,
+    MapBuilder,
+    StartUp,
+)
 from slam_baselines.leveling import LeveledScan
 from slam_baselines.mapper import MapperStats, PlanarMapper
-from slam_baselines.monitors import LocalizabilityMonitor
 from slam_baselines.registration import Match, Registration, RegistrationConfig, ScanMatcher
 
 WARM_UP = {"sparse_distance": 0.1}
 """Configuration with which a short drive reaches every kernel: the scans are sparse."""
-REFINED_SHARE = 0.55
-"""Share of the keyframes that must fit for a refined start: the first ones see few known walls."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +55,6 @@ class HectorConfig(
     """
 
     # The calibration learns slides. Standing wheels have no error; the stamps of logs are not reliable.
-    slide_per_radian: float = limited(1.0, "(0, inf]")
     translation_per_second: float = limited(1e-5, "(0, inf]")
     rotation_per_second: float = limited(1e-5, "(0, inf]")
     match_iterations: tuple[int, ...] = (5, 3, 3)
@@ -93,7 +97,8 @@ class HectorMapper(PlanarMapper):
 
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Level a scan, predict, register and monitor it; insert it if due."""
-        front, builder, before, match = self.front, self._builder, self.front.estimate.pose, None
+        front, builder, last, match = self.front, self._builder, self.front.estimate, None
+        before = last.pose
         level = front.leveler.level(scan, imu)
         estimate = prior = self.reckoning.predict(front.estimate, odometry, imu, scan.stamp)
         if level.leveled and not self._start.over:
@@ -101,10 +106,10 @@ class HectorMapper(PlanarMapper):
         if front.path:  # the first scan has no map
             weights = builder.match_weights(level, prior.pose)
             estimate, match = self._registration.register(
-                builder.pyramid, level.hits, weights, prior, before, self._earlier
+                builder.pyramid, level.hits, weights, prior, last, self._earlier
             )
             self._earlier = before
-        fits = front.monitor(level, prior, estimate, match)
+        fits = front.monitor(level, prior, estimate, match, floor=builder.flat)
         self.lost, self.covariance = front.monitors.tracking.lost, front.drift.covariance
         pose = front.estimate.pose
         registered = self._calibrate(level, match, before)
@@ -166,8 +171,8 @@ class HectorMapper(PlanarMapper):
         If too few keyframes fit, no walls are known yet: keyframes and map stay unchanged.
         """
         builder, before_refinement = self._builder, self._builder.restart()
-        localizability = LocalizabilityMonitor(replace(self.config, localizable_share=REFINED_SHARE))
         estimate, refined = PoseEstimate(keyframes[0].pose, np.zeros((3, 3))), list[HectorKeyframe]()
+        registration, fits = self._registration.again(), 0
         for k, now in enumerate(keyframes):
             last = estimate
             if k > 0:
@@ -175,14 +180,13 @@ class HectorMapper(PlanarMapper):
             slopes = builder.min_slopes(now.scan, estimate.pose, now.height, now.min_slopes)
             if k > 0:
                 weights = builder.weights(slopes)
-                estimate, match = self._registration.register(
-                    builder.pyramid, now.scan.hits, weights, estimate, last.pose
+                estimate, match = registration.register(
+                    builder.pyramid, now.scan.hits, weights, estimate, last
                 )
-                seconds = now.scan.stamp - keyframes[k - 1].scan.stamp
-                localizability.observe(None if match is None else match.score, 0.0, seconds)
+                fits += match is not None and match.score >= self.config.localizable_score
             builder.enter_again(now.scan, estimate.pose, now.height, slopes)
             refined.append(replace(now, pose=estimate.pose, min_slopes=slopes))
-        if builder.flat or localizability.localizable:
+        if builder.flat or fits >= REFINED_SHARE * (len(keyframes) - 1):
             return refined
         builder.pyramid = before_refinement
         return keyframes

@@ -20,13 +20,15 @@ class MonitorConfig(Checked):
             scans do, on hillsides few.
         localizable_share: Share of the matched scans that must fit before matches are used.
         least_localizable_share: Share of the matched scans that must fit for matches to remain in use.
-        localizable_memory: Number of scans after which one counts 1/e.
-        localizable_turn: Largest turn of matches away from dead reckoning in a time, radians.
-        localizable_seconds: Time in which this turn is measured, seconds.
+        localizable_memory: Number of scans that prove walls.
+        localizable_meters: Distance after which a scan counts 1/e, meters.
+        first_meters: Distance that counts as driven without a fit at first, unless on a floor, meters.
         drawn_share: Share of all scans that must have fitted for walls to be drawn.
         recent_share: Share of the latest scans that must have fitted for half of `drawn_share` to be enough.
         drawn_meters: Distance up to which walls are drawn in any case, since dead reckoning is good enough,
             meters; unless `localizable_memory` scans were matched and fewer than `drawn_share` fitted lately.
+        reckoning_length: Distance over which a correction of dead reckoning falls to 1/e, meters.
+        reckoning_gate: Deviations of dead reckoning up to which its corrections are used on uneven ground.
 
     Raises:
         ConfigError: a value is not legal, or least_localizable_share is above localizable_share.
@@ -39,11 +41,13 @@ class MonitorConfig(Checked):
     localizable_share: float = limited(0.7, "(0, 1)")
     least_localizable_share: float = 0.15
     localizable_memory: float = limited(50.0, "[1, inf]")
-    localizable_turn: float = limited(math.radians(1.5), "(0, inf]")
-    localizable_seconds: float = limited(5.0, "(0, inf]")
+    localizable_meters: float = limited(2.0, "(0, inf]")
+    first_meters: float = limited(0.4, "(0, inf]")
     drawn_share: float = limited(0.5, "(0, 1)")
     recent_share: float = limited(0.8, "(0, 1)")
     drawn_meters: float = limited(5.0, "(0, inf]")
+    reckoning_length: float = limited(10.0, "(0, inf]", "m")
+    reckoning_gate: float = limited(3.0, "(0, inf]")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,9 +91,7 @@ class LocalizabilityMonitor:
     """Decision whether matches localize the robot: they do on walls, and not on hillsides.
 
     A planar scan of a hillside fits the map of the same hillside from the same place only: from another
-    height, the hillside seems to have moved. Matches to it turn and pull the estimate away from dead
-    reckoning, which needs no walls. Two observations distinguish walls from hillsides without the truth: on
-    walls most scans fit well, and the gyro agrees with the turn of the matches.
+    height, the hillside seems to have moved. So on walls most scans fit well while the robot moves.
 
     Attributes:
         localizable: Whether matches localize the robot.
@@ -104,28 +106,27 @@ class LocalizabilityMonitor:
         self.believed = True
         self.scans = self._matched = self._localizable = self._fitted = 0
         self._config = config
-        self._share = self._turned = self._steadiness = 0.0
-        self._off: float | None = None
+        self._share = self._steadiness = self._fitting = self._judged = 0.0
 
-    def observe(self, score: float | None, off: float, seconds: float) -> None:
-        """Count a scan.
+    def observe(self, score: float | None, moved: float, *, floor: bool = False) -> None:
+        """Count a scan by its distance: a hillside fits from the same place only.
 
         Args:
             score: Agreement of the ends of its beams with the map, 0 to 1; None without a match.
-            off: Yaw of the match less the yaw by dead reckoning since the start, radians.
-            seconds: Time since the scan before.
+            moved: Distance since the scan before, a radian of turn counted as half a meter, meters.
+            floor: Whether the ground has always been a floor, where there are no hillsides.
         """
         c = self._config
         fits = score is not None and score >= c.localizable_score
-        self._turned *= math.exp(-seconds / c.localizable_seconds)
-        self._steadiness += (fits - self._steadiness) / c.localizable_memory
+        keep = math.exp(-moved / c.localizable_meters)
+        self._steadiness = keep * self._steadiness + (1 - keep) * fits
         if score is not None:
             self._matched += 1
-            self._share += (fits - self._share) / min(self._matched, c.localizable_memory)
-            self._turned += 0.0 if self._off is None else math.remainder(off - self._off, math.tau)
-            self._off = off
+            self._fitting, self._judged = keep * self._fitting + moved * fits, keep * self._judged + moved
+        self._share = self._fitting / (self._judged + (1e-9 if floor else c.first_meters))
         enough = c.least_localizable_share if self.localizable else c.localizable_share
-        self.localizable = self._share >= enough and abs(self._turned) <= c.localizable_turn
+        recent = self._steadiness >= c.least_localizable_share
+        self.localizable = self._share >= enough and recent
         self.steady = self.localizable and self._steadiness >= 2 * c.least_localizable_share
         self.believed = self.localizable
         self.scans += 1
@@ -140,8 +141,7 @@ class LocalizabilityMonitor:
         first scans of a slow robot do not count, since the map is still too faint.
         """
         c = self._config
-        fit = self._share >= c.drawn_share and abs(self._turned) <= c.localizable_turn
-        doubtful = self._matched >= c.localizable_memory and not fit
+        doubtful = self._matched >= c.localizable_memory and self._share < c.drawn_share
         if self.scans == 0 or (distance <= c.drawn_meters and not doubtful):
             return True
         recently = self.proven and self._steadiness >= c.recent_share
@@ -149,17 +149,11 @@ class LocalizabilityMonitor:
 
 
 class Monitors:
-    """Both monitors of a mapper, and its yaw by dead reckoning since the start, radians."""
+    """Both monitors of a mapper."""
 
     def __init__(self, config: MonitorConfig) -> None:
         self.tracking = TrackingMonitor(config)
         self.localizability = LocalizabilityMonitor(config)
-        self.reckoned_yaw = 0.0
-
-    def observe_match(self, score: float | None, yaw: float, seconds: float) -> None:
-        """Update the localizability by a match; without one, the score is None."""
-        off = 0.0 if score is None else math.remainder(yaw - self.reckoned_yaw, math.tau)
-        self.localizability.observe(score, off, seconds)
 
     def observe_fit(self, score: float | None, known: float) -> bool:
         """Return whether a scan may enter the map; before walls are proven, any may."""

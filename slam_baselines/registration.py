@@ -22,7 +22,7 @@ import numpy as np
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray, njit
 from lirs_wct.errors import limited, require_within
 from lirs_wct.geometry import Pose2
-from slam_baselines.dead_reckoning import PoseEstimate
+from slam_baselines.dead_reckoning import PoseEstimate, moved_covariance
 from slam_baselines.monitors import MonitorConfig
 from slam_baselines.occupancy_map import FULL, UNSEEN, GrowingGrid, Levels, MapPyramid
 
@@ -356,10 +356,6 @@ class RegistrationConfig(MonitorConfig):
         coasting: Whether the wider search also starts at the pose after repeating the last motion.
         min_beams: Fewest beams on known cells for a match.
         min_walls: Fewest hits on walls for a match on uneven ground, where a wall may be ground.
-        reject_poor: Whether a match on uneven ground is rejected where even the wider search stays below the
-            search threshold: dead reckoning errs less than a forced fit.
-        mahalanobis_gate: Largest Mahalanobis distance from dead reckoning at which the wider search is
-            accepted on uneven ground.
         decorrelation_distance: Distance between scans below which they see the same cells with the same
             errors, so that each adds only its share of information, meters.
         min_information_share: Smallest share of information that a scan adds.
@@ -376,14 +372,71 @@ class RegistrationConfig(MonitorConfig):
     coasting: bool = True
     min_beams: int = limited(15, "[1, inf]")
     min_walls: int = limited(40, "[1, inf]")
-    reject_poor: bool = True
-    mahalanobis_gate: float = limited(4.0, "(0, inf]")
     decorrelation_distance: float = limited(0.4, "(0, inf]")
     min_information_share: float = limited(0.02, "(0, 1)")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_within(self, f"(0, {self.search_threshold}]", "lost_score")
+
+
+REGISTERED = np.diag((0.03**2, 0.03**2, 0.005**2))
+"""Covariance of a registered scan's pose."""
+
+
+class ReckoningWindow:
+    """Corrections of dead reckoning over the latest meters, against its own errors.
+
+    Matches to hillsides pull steadily or jump, farther than wheels and gyro err. A correction enters only in
+    the directions in which all corrections of the window together stay within those errors. Directions are
+    the eigenvectors of the scan's information in units of these errors.
+    """
+
+    def __init__(self, config: MonitorConfig) -> None:
+        self._config = config
+        self._correction, self._covariance = np.zeros(3), np.zeros((3, 3))
+        self._expected: FloatArray | None = None
+
+    def move(self, before: PoseEstimate, expected: PoseEstimate) -> None:
+        """Add the step of dead reckoning from the last used estimate."""
+        start, end = before.pose.as_array(), expected.pose.as_array()
+        dx, dy = (end - start)[:2].tolist()
+        noise = expected.covariance - moved_covariance(before.covariance, dx, dy, 0.0, 0.0)
+        keep = math.exp(-math.hypot(dx, dy) / self._config.reckoning_length)
+        if self._expected is not None:
+            self._correction += difference(start, self._expected)
+        x, y, yaw = self._correction
+        self._correction = keep * np.array((x - dy * yaw, y + dx * yaw, yaw))
+        self._covariance = keep**2 * moved_covariance(self._covariance, dx, dy, 0.0, 0.0) + noise
+        self._expected = end
+
+    def allowed(self, expected: PoseEstimate, pose: FloatArray, information: FloatArray) -> FloatArray:
+        """Return the projection (3, 3) of corrections in the map frame on the allowed directions.
+
+        The scan of this information (3, 3) was matched at a pose (3,).
+        """
+        root = np.linalg.cholesky(self._covariance + REGISTERED)
+        inverse = np.linalg.inv(root)
+        gains, axes = np.linalg.eigh(root.T @ information @ root)
+        total = self._correction + difference(pose, expected.pose.as_array())
+        within = (gains >= 1.0) & (abs(axes.T @ inverse @ total) <= self._config.reckoning_gate)
+        return np.asarray(root @ (axes * within) @ axes.T @ inverse)
+
+    def limit(self, expected: PoseEstimate, pose: FloatArray, information: FloatArray) -> PoseEstimate:
+        """Return the estimate by the allowed directions of a match; arguments as of allowed."""
+        P = self.allowed(expected, pose, information)
+        start = expected.pose.as_array()
+        x, y, yaw = (start + P @ difference(pose, start)).tolist()
+        covariance = np.linalg.inv(np.linalg.inv(expected.covariance) + P.T @ information @ P)
+        limited_pose = Pose2(x, y, math.remainder(yaw, math.tau))
+        return PoseEstimate(limited_pose, np.asarray(covariance, dtype=np.float64))
+
+
+def difference(pose: FloatArray, other: FloatArray) -> FloatArray:
+    """Return a pose (3,) less another, the heading in [-pi, pi]."""
+    off = pose - other
+    off[2] = math.remainder(off[2], math.tau)
+    return off
 
 
 class Registration:
@@ -393,6 +446,11 @@ class Registration:
         self.config = config
         self.searches = 0
         self._matcher = matcher
+        self.window = ReckoningWindow(config)
+
+    def again(self) -> Registration:
+        """Return a registration without past corrections, for other poses of the same scans."""
+        return Registration(self.config, self._matcher)
 
     def register(
         self,
@@ -400,7 +458,7 @@ class Registration:
         hits: FloatArray,
         weights: FloatArray | None,
         expected: PoseEstimate,
-        before: Pose2,
+        before: PoseEstimate,
         earlier: Pose2 | None = None,
     ) -> tuple[PoseEstimate, Match | None]:
         """Return the estimate and its match; `expected` and None without enough walls.
@@ -410,27 +468,31 @@ class Registration:
             hits: (n, 2 or more) ends of beams in the leveled base frame, meters.
             weights: (n,) 1 for walls, less for slopes, 0 for possible ground; None on flat ground.
             expected: Estimate by dead reckoning.
-            before: Pose of the last registration.
+            before: Estimate at the last registration, as it was used.
             earlier: Pose of the one before that, for coasting.
         """
         c = self.config
+        self.window.move(before, expected)
         uneven, walls = weights is not None, len(hits) if weights is None else np.count_nonzero(weights)
         if walls < (c.min_walls if uneven else c.min_beams):
             return expected, None
         x, y, yaw = expected.pose.x, expected.pose.y, expected.pose.yaw
-        turn = math.remainder(yaw - before.yaw, math.tau)
-        moved = math.hypot(x - before.x, y - before.y) + 0.5 * abs(turn)
+        last = before.pose
+        turn = math.remainder(yaw - last.yaw, math.tau)
+        moved = math.hypot(x - last.x, y - last.y) + 0.5 * abs(turn)
         share = min(1.0, max(c.min_information_share, moved / c.decorrelation_distance))
         match = self._matcher.match(pyramid, hits, weights, expected, information_share=share)
         if match.known < c.min_beams / walls:
             return expected, None
         if match.known >= c.known_ratio and match.score < c.search_threshold:
-            coasting = before if earlier is None else before @ (earlier.inverse() @ before)
+            coasting = last if earlier is None else last @ (earlier.inverse() @ last)
             wider = self._search(pyramid, hits, weights, share, expected, coasting)
-            if uneven and self._is_rejected(match, wider, expected):
-                return expected, match
+            if uneven and max(match.score, wider.score) < c.search_threshold:
+                return expected, match  # dead reckoning errs less than a forced fit
             if wider.score > match.score + c.min_gain:
                 match = wider
+        if uneven:
+            return self.window.limit(expected, match.pose, match.information), match
         x, y, yaw = match.pose.tolist()
         return PoseEstimate(Pose2(x, y, math.remainder(yaw, math.tau)), match.covariance), match
 
@@ -460,12 +522,3 @@ class Registration:
             for first in ((start, coasting.as_array()) if c.coasting else (start,))
         ]
         return max(matches, key=lambda match: match.score)
-
-    def _is_rejected(self, match: Match, wider: Match, prior: PoseEstimate) -> bool:
-        """Return whether no pose fits, or only one that dead reckoning excludes."""
-        c = self.config
-        if c.reject_poor and max(match.score, wider.score) < c.search_threshold:
-            return True
-        off = wider.pose - prior.pose.as_array()
-        off[2] = math.remainder(off[2], math.tau)
-        return not off @ invert3(prior.covariance) @ off <= c.mahalanobis_gate**2

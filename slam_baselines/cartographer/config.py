@@ -32,9 +32,6 @@ class CartographerConfig(FrontEndConfig, RegistrationConfig, MotionConfig, Updat
         max_tilt_radians: Largest change of tilt between two nodes; it shows other heights of the same things.
         sparse_distance: Distance between two nodes from which on the hits of the later one are interpolated,
             meters.
-        slip_speed: Speed at which wheels may slip, m/s and rad/s; on uneven ground, a match that neither slip
-            nor the odometry's errors explain is rejected.
-        slip_deviations: Standard deviations of the odometry's errors that are allowed besides the slip.
         num_range_data: Scans after which the next submap begins; each gets twice as many.
         submap_distance: Distance traveled after which the next submap begins, however few the scans, meters.
         resolution: Edge of a cell of the submaps' finest level, meters.
@@ -112,12 +109,9 @@ class CartographerConfig(FrontEndConfig, RegistrationConfig, MotionConfig, Updat
     lost_score: float = limited(0.2, "(0, 1]")
     bootstrap_first: float = limited(2.0, "(0, inf]", "m")
     bootstrap_last: float = limited(math.inf, "(0, inf]", "m")
-    min_walls: int = limited(15, "[1, inf]")
     min_gain: float = limited(0.0, "[0, inf]")
     search_prior: bool = True
     coasting: bool = False
-    reject_poor: bool = False
-    mahalanobis_gate: float = limited(math.inf, "(0, inf]")
 
     map_resolution: float = limited(0.05, "(0, inf]", "m")
     max_range: float = limited(math.inf, "(0, inf]", "m")
@@ -130,8 +124,6 @@ class CartographerConfig(FrontEndConfig, RegistrationConfig, MotionConfig, Updat
     max_angle_radians: float = limited(math.radians(10.0), "[0, inf]")
     max_tilt_radians: float = limited(math.radians(1.0), "[0, inf]")
     sparse_distance: float = limited(0.4, "(0, inf]")
-    slip_speed: float = 1.0
-    slip_deviations: float = 4.0
 
     num_range_data: int = limited(60, "(0, inf]")
     submap_distance: float = limited(20.0, "(0, inf]")

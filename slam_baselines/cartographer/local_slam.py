@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lirs_wct.geometry import ByteArray, FloatArray, Imu, LaserScan, Pose2, in_axes_of, wrap_angle
+from lirs_wct.geometry import ByteArray, FloatArray, Imu, LaserScan, Pose2, in_axes_of
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.submap import Submaps
 from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate, moved_covariance
-from slam_baselines.front_end import FrontEnd, Keyframe, MotionFilter, StartUp
+from slam_baselines.front_end import REFINED_SHARE, FrontEnd, Keyframe, MotionFilter, StartUp
 from slam_baselines.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.leveling import LeveledScan, ScanPoints, interpolate_hits
 from slam_baselines.occupancy_map import bounding_box, union_of
@@ -73,10 +73,7 @@ def compose_estimates(first: PoseEstimate, then: PoseEstimate) -> PoseEstimate:
 
 
 class LocalSlam:
-    """Poses and submaps in the local frame.
-
-    Counts matches that no motion of the robot explains as implausible.
-    """
+    """Poses and submaps in the local frame."""
 
     def __init__(self, config: CartographerConfig) -> None:
         self._config = c = config
@@ -85,7 +82,6 @@ class LocalSlam:
         self.submaps = Submaps(c)
         self.registration = Registration(c, ScanMatcher(exact=True))
         self.start = StartUp[Node](c)
-        self.implausible = 0
         self._reckoning = DeadReckoning(c)
         self._motion = NOWHERE
         self._distance_traveled = self._drawn_at = 0.0
@@ -104,7 +100,7 @@ class LocalSlam:
         self._motion = self._motion if step is None else step.after(self._motion)
         prior = front.estimate if step is None else step.after(front.estimate)
         estimate, match = self._register(level, prior)
-        fits = front.monitor(level, prior, estimate, match)
+        fits = front.monitor(level, prior, estimate, match, floor=self.ground_filter.flat)
         pose = front.estimate.pose
         self._distance_traveled += before.distance(pose)
         if level.leveled:
@@ -116,36 +112,22 @@ class LocalSlam:
         return added
 
     def walls(self, scan: LeveledScan, pose: Pose2, height: float) -> FloatArray:
-        """Return (n,) weights of hits: 1 for walls that the matching submap knows, else 0.
+        """Return (n,) weights of hits: 1 for walls that the matching submap knows, 0 for possible ground.
 
         Pose and height, meters, are those of the base in the local frame.
         """
-        return self.ground_filter.match_walls(scan, pose, height, drawn=self.submaps.matching_submap.coarsest)
+        ground, drawn = self.ground_filter, self.submaps.matching_submap.coarsest
+        return ground.match_weights(scan, pose, drawn, ground.match_wall_slope, height)
 
     def _register(self, scan: LeveledScan, prior: PoseEstimate) -> tuple[PoseEstimate, Match | None]:
-        """Match a scan to the matching submap; reject implausible matches on uneven ground."""
+        """Match a scan to the matching submap."""
         if not self.front.path:
             return prior, None
-        seconds, before = scan.stamp - self.front.stamp, self.front.estimate.pose
-        weights = self.walls(scan, prior.pose, self.ground_filter.height)
         submap, wall_slope = self.submaps.matching_submap, self.ground_filter.match_wall_slope
+        height = self.ground_filter.height
+        weights = None if wall_slope == 0 else self.walls(scan, prior.pose, height)
         submap.set_wall_slope(wall_slope)
-        estimate, match = self.registration.register(submap.pyramid, scan.hits, weights, prior, before)
-        if wall_slope > 0 and not self._plausible(prior, estimate.pose, seconds):
-            self.implausible += 1
-            return prior, None
-        return estimate, match
-
-    def _plausible(self, expected: PoseEstimate, pose: Pose2, seconds: float) -> bool:
-        """Return whether odometry and wheel slip allow `pose`.
-
-        Checked on uneven ground only: a hill taken for a wall displaces a scan faster than wheels can slip.
-        """
-        c, (x, y, yaw) = self._config, expected.covariance.diagonal().tolist()
-        slip, turn = pose.distance(expected.pose), abs(wrap_angle(pose.yaw - expected.pose.yaw))
-        reach = c.slip_speed * seconds
-        largest_slip = reach + c.slip_deviations * math.sqrt(max(x, y))
-        return slip <= largest_slip and turn <= reach + c.slip_deviations * math.sqrt(yaw)
+        return self.registration.register(submap.pyramid, scan.hits, weights, prior, self.front.estimate)
 
     def _insert(self, scan: LeveledScan, pose: Pose2) -> tuple[list[Node], bool]:
         """Draw a scan into the submaps; refine the start when due."""
@@ -186,7 +168,11 @@ class LocalSlam:
         if wall_slope == 0 or self.submaps.all[0].finished:
             self.start.close()
             return []
-        estimates = self._register_backwards(nodes, wall_slope)
+        before = self.submaps
+        estimates, fits = self._register_backwards(nodes, wall_slope)
+        if fits < REFINED_SHARE * (len(nodes) - 1):
+            self.submaps = before
+            return []
         self.submaps = self.submaps.empty_copy(self._config)
         drawn = [self._known_walls(node, e.pose) for node, e in zip(nodes, estimates, strict=True)]
         self.submaps.reserve(estimates[0].pose, union_of([bounding_box(placed) for placed, _ in drawn]))
@@ -199,11 +185,12 @@ class LocalSlam:
             )
         return refined
 
-    def _register_backwards(self, nodes: list[Node], wall_slope: int) -> list[PoseEstimate]:
-        """Return the nodes' estimates in one new submap; the first keeps its pose."""
+    def _register_backwards(self, nodes: list[Node], wall_slope: int) -> tuple[list[PoseEstimate], int]:
+        """Return estimates in one new submap and how many fit; the first keeps its pose."""
         whole = replace(self._config, num_range_data=len(nodes) + 1, submap_distance=math.inf)
         self.submaps = self.submaps.empty_copy(whole)
         estimates = [PoseEstimate(nodes[-1].pose, NOWHERE.covariance)]
+        registration, fits = self.registration.again(), 0
         for node, later in zip(nodes[::-1], [None, *nodes[:0:-1]], strict=True):
             estimate = estimates[-1]
             if later is not None:
@@ -211,16 +198,17 @@ class LocalSlam:
                 expected, submap = compose_estimates(estimate, back), self.submaps.matching_submap
                 weights = self.walls(node.scan, expected.pose, node.height)
                 submap.set_wall_slope(wall_slope)
-                estimate, _ = self.registration.register(
-                    submap.pyramid, node.scan.hits, weights, expected, expected.pose
+                estimate, match = registration.register(
+                    submap.pyramid, node.scan.hits, weights, expected, estimate
                 )
+                fits += match is not None and match.score >= self._config.localizable_score
             if node is not nodes[0]:
                 # Matching only distinguishes walls from the rest.
                 drawn = self._known_walls(node, estimate.pose, (float(wall_slope), float(wall_slope)))
                 self.submaps.insert_range_data(0, estimate.pose, *drawn, wall_slope)
             estimates.append(estimate)
         T_new_old = nodes[0].pose @ estimates[-1].pose.inverse()
-        return [PoseEstimate(T_new_old @ e.pose, e.covariance) for e in estimates[:0:-1]]
+        return [PoseEstimate(T_new_old @ e.pose, e.covariance) for e in estimates[:0:-1]], fits
 
     def _known_walls(self, node: Node, pose: Pose2, limits: Limits = IN_FULL) -> tuple[ScanPoints, ByteArray]:
         """Return a node's scan in the local frame and its hits' present minimum slopes."""

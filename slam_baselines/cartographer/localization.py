@@ -123,13 +123,13 @@ class CartographerLocalizer(PlanarMapper):
         While `lost`, this is dead reckoning from the last known pose, at first from the map's origin.
         """
         level = self._leveler.level(scan, imu)
-        before = self._estimate.pose
+        last, before = self._estimate, self._estimate.pose
         self._estimate = self._reckoning.predict(self._estimate, odometry, imu, scan.stamp)
         if self.lost and self._search_due(scan.stamp):
             self._search_map(level)
         if not self.lost:
             self._estimate, match = self._registration.register(
-                self._known.pyramid, level.hits, None, self._estimate, before
+                self._known.pyramid, level.hits, None, self._estimate, last
             )
             self._matched += match is not None
             self._tracking.observe(*((None, 1.0) if match is None else (match.score, match.known)))

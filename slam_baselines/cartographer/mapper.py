@@ -105,7 +105,6 @@ class CartographerMapper(PlanarMapper):
                 "optimizations": graph.optimizations,
                 "second_looks": self.local.start.refinements,
                 "searches": self.local.registration.searches,
-                "matches_implausible": self.local.implausible,
             },
         )
 

@@ -23,9 +23,10 @@ from lirs_wct.geometry import (
     Trajectory,
     in_axes_of,
     wrap_angle,
+    wrap_angles,
 )
 from slam_baselines.dead_reckoning import DriftCovariance, PoseEstimate
-from slam_baselines.front_end import Keyframe, StartUp
+from slam_baselines.front_end import LEVER, REFINED_SHARE, Keyframe, StartUp
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.motion import GyroBias, GyroBiasConfig, MotionIncrement, propagate, remove_bias
@@ -37,6 +38,7 @@ from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints, interp
 from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.monitors import Monitors
 from slam_baselines.occupancy_map import NO_WALL
+from slam_baselines.registration import ReckoningWindow
 
 __all__ = ["GmappingConfig", "GmappingMapper"]
 
@@ -58,6 +60,11 @@ class ParticleFilter(Particles[PatchMaps]):
         view, expected = self.maps.view(self.best, wall_slope), self.pose @ increment.pose
         found = self.proposer.match_scan(view, beams, expected.as_array(), increment.newest, wide=wide)
         return None if found is None else self.pose.inverse() @ Pose2(*found.tolist())
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses (particles, 3) at the last processed scan."""
+        return self._poses
 
     def propose(
         self, beams: ScanBeams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
@@ -125,11 +132,14 @@ class BiasedRegistration:
     def refine(self, keyframes: Sequence[GmappingKeyframe], maps: PatchMaps) -> list[GmappingKeyframe]:
         """Register keyframes in an empty map and draw them; return them with new poses.
 
-        Backwards, since the first scans know the fewest walls.
+        Backwards, since the first scans know the fewest walls. None are returned if too few fit.
         """
         for _ in range(ROUNDS):
+            self._fitted = 0
             poses = self._register_backwards(self.reckon(keyframes), maps.resolution)
             self.learn(keyframes, poses)
+        if self._fitted < REFINED_SHARE * (len(keyframes) - 1):
+            return []
         refined = [replace(k, pose=pose) for k, pose in zip(keyframes, poses, strict=True)]
         return [replace(k, min_slopes=self._draw(maps, k, k.pose, IN_FULL)) for k in refined]
 
@@ -172,6 +182,7 @@ class BiasedRegistration:
         walls = ground.match_walls(now.scan, pose, now.height, known=np.maximum(now.min_slopes, drawn))
         view, beams = maps.view(0, ground.match_wall_slope), ScanBeams(now.scan.hits, walls)
         matched = self._proposer.match_scan(view, beams, pose.as_array(), covariance)
+        self._fitted += matched is not None
         return pose if matched is None else Pose2(*matched.tolist())
 
     def _draw(self, maps: PatchMaps, keyframe: GmappingKeyframe, pose: Pose2, limits: Limits) -> ByteArray:
@@ -202,6 +213,7 @@ class GmappingMapper(PlanarMapper):
         self._filter = ParticleFilter(c)
         self._increment = MotionIncrement(c.motion)
         self._start = StartUp[GmappingKeyframe](c)
+        self._window = ReckoningWindow(c)
         self._registration = BiasedRegistration(self._filter.proposer, self.ground_filter, c)
         self._bias = GyroBias.unknown(c)
         self._drift = DriftCovariance(c.delta / math.sqrt(12))
@@ -301,16 +313,18 @@ class GmappingMapper(PlanarMapper):
     def _sample(self, scan: LeveledScan) -> None:
         """Draw new poses and weigh them; follow dead reckoning where it is not localizable."""
         particles, motion, monitors = self._filter, self._increment, self._monitors
+        best = particles.best
         localizability, c = monitors.localizability, self.config
         beams = self._beams(scan)
         proposal = particles.propose(beams, motion, self.ground_filter.match_wall_slope, wide=self._sparse)
         hit, known = (float(ratio[particles.best]) for ratio in (proposal.hit_ratio, proposal.known_ratio))
         informative = known >= c.known_ratio and beams.weights.sum() >= c.min_beams
         if scan.leveled:
-            monitors.reckoned_yaw += motion.reckoned.pose.yaw
-            yaw = float(proposal.means[particles.best, 2])
-            monitors.observe_match(hit if informative else None, yaw, motion.seconds)
+            moved = motion.distance + LEVER * motion.turn
+            localizability.observe(hit if informative else None, moved, floor=self.ground_filter.flat)
         if not scan.leveled or (localizability.localizable and (informative or localizability.steady)):
+            if not self.ground_filter.flat:
+                proposal = self._limited(proposal, best)
             prior = in_axes_of(particles.pose.inverse(), motion.reckoned.covariance)
             self._fit = prior, proposal.covariances[particles.best]
             particles.adopt(proposal)
@@ -323,6 +337,22 @@ class GmappingMapper(PlanarMapper):
             turned = particles.turned - motion.reckoned.pose.yaw
             self._bias = self._bias.learned(wrap_angle(turned), motion.seconds)
             motion.bias = self._bias.value
+
+    def _limited(self, proposal: Proposal, best: int) -> Proposal:
+        """Return the proposal with the corrections of dead reckoning that its window allows."""
+        particles, motion = self._filter, self._increment
+        step = remove_bias(motion.reckoned.pose, motion.bias, motion.seconds)
+        before = particles.poses
+        reckoned = propagate(before, step, motion.reckoned.covariance)
+        expected = PoseEstimate(Pose2(*reckoned.poses[best].tolist()), reckoned.covariances[best])
+        self._window.move(PoseEstimate(Pose2(*before[best].tolist()), np.zeros((3, 3))), expected)
+        information = np.linalg.inv(proposal.covariances[best]) - np.linalg.inv(expected.covariance)
+        P = self._window.allowed(expected, proposal.means[best], information)
+        covariances = proposal.covariances.copy()
+        covariances[best] = np.linalg.inv(np.linalg.inv(expected.covariance) + P.T @ information @ P)
+        off = proposal.poses - reckoned.poses
+        off[:, 2] = wrap_angles(off[:, 2])
+        return proposal._replace(poses=reckoned.poses + off @ P.T, covariances=covariances)
 
     def _beams(self, scan: LeveledScan) -> ScanBeams:
         """Return the scan's hits, with weight 1 for known walls and 0 for possible ground."""
@@ -345,7 +375,8 @@ class GmappingMapper(PlanarMapper):
             # The start is registered again with the gyro's bias; one particle replaces all.
             maps = PatchMaps(1, self.config.delta)
             refined = self._registration.refine(self._start.keyframes, maps)
-            self._bias = self._registration.bias
-            self._increment.bias = self._bias.value
-            self._filter.restart([keyframe.pose for keyframe in refined], maps)
-            self._start.replace(refined)
+            if refined:
+                self._bias = self._registration.bias
+                self._increment.bias = self._bias.value
+                self._filter.restart([keyframe.pose for keyframe in refined], maps)
+            self._start.replace(refined or self._start.keyframes)

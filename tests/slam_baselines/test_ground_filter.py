@@ -271,7 +271,8 @@ def test_blocks_hold_the_lowest_of_their_cells(drops: list[tuple[int, int, float
 
 def test_the_filter_weighs_hits_as_by_slopes_found_one_after_the_other() -> None:
     """Also while the grid grows."""
-    rng, ground_filter, drawn = np.random.default_rng(2), GroundFilter(), OccupancyMap(0.2)
+    rng, drawn = np.random.default_rng(2), OccupancyMap(0.2)
+    ground_filter = GroundFilter(GroundFilterConfig(least_wall_share=0.0))
     shares = []
     for k in range(12):
         hits = rng.uniform((-9, -9, -0.2), (9, 9, 1.2), (200, 3))
@@ -291,3 +292,13 @@ def test_the_filter_weighs_hits_as_by_slopes_found_one_after_the_other() -> None
         ends = np.concatenate((placed.hits, placed.origin[None]))
         drawn.update(placed, slopes, wall, np.array((*ends.min(axis=0)[:2], *ends.max(axis=0)[:2])))
     assert 0.02 < min(shares[3:]) < max(shares) < 0.98
+
+
+def test_a_few_walls_among_ground_are_not_matched() -> None:
+    """Where most hits may be ground, those that seem to be walls may be ground, too."""
+    ground_filter = GroundFilter()
+    ground_filter.tilt = math.radians(10.0)
+    wall = ground_filter.match_wall_slope
+    for walls, used in ((24, 0), (25, 25), (100, 100)):
+        slopes = np.where(np.arange(100) < walls, 200, 0).astype(np.uint8)
+        assert np.count_nonzero(ground_filter.weights_among_walls(slopes, wall)) == used

@@ -1,18 +1,20 @@
 """Registration: gradients, offsets that the matcher finds, the wider search, what is rejected."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import CartographerConfig
-from slam_baselines.dead_reckoning import PoseEstimate, moved_covariance
+from slam_baselines.dead_reckoning import MotionConfig, PoseEstimate, moved_covariance
 from slam_baselines.front_end import BuilderConfig, MapBuilder
 from slam_baselines.leveling import ScanLeveler
+from slam_baselines.monitors import MonitorConfig
 from slam_baselines.registration import (
+    ReckoningWindow,
     Registration,
     RegistrationConfig,
     ScanMatcher,
@@ -165,6 +167,10 @@ TRUE = Pose2(0.5, -0.3, 0.4)
 CONFIGS = [RegistrationConfig(), CartographerConfig()]
 
 
+def at(pose: Pose2) -> PoseEstimate:
+    return PoseEstimate(pose, np.zeros((3, 3)))
+
+
 def near(dx: float, dy: float, dyaw: float, sigma: float = 0.05) -> PoseEstimate:
     pose = Pose2(TRUE.x + dx, TRUE.y + dy, TRUE.yaw + dyaw)
     return PoseEstimate(pose, np.diag((sigma**2, sigma**2, sigma**2)))
@@ -174,7 +180,7 @@ def near(dx: float, dy: float, dyaw: float, sigma: float = 0.05) -> PoseEstimate
 def test_a_small_error_needs_no_search(config: RegistrationConfig) -> None:
     builder, points = room_map(TRUE)
     registration, expected = Registration(config, ScanMatcher()), near(0.04, -0.03, 0.02)
-    estimate, match = registration.register(builder.pyramid, points, None, expected, expected.pose)
+    estimate, match = registration.register(builder.pyramid, points, None, expected, expected)
     assert match is not None
     assert estimate.pose.distance(TRUE) < 0.02
     assert np.trace(estimate.covariance) < np.trace(expected.covariance)
@@ -184,7 +190,7 @@ def test_a_small_error_needs_no_search(config: RegistrationConfig) -> None:
 def test_a_sharp_turn_is_searched_for() -> None:
     builder, points = room_map(TRUE)
     registration, expected = Registration(RegistrationConfig(), ScanMatcher()), near(0.4, -0.3, 0.42)
-    estimate, _ = registration.register(builder.pyramid, points, None, expected, Pose2())
+    estimate, _ = registration.register(builder.pyramid, points, None, expected, at(Pose2()))
     assert registration.searches == 1
     assert estimate.pose.distance(TRUE) < 0.03
 
@@ -196,7 +202,7 @@ def test_fewest_beams_are_enough_however_small_their_share(config: RegistrationC
     some = points[:: len(points) // config.min_beams]
     far = np.tile((300.0, 0.0, 0.0), (7, 1))
     for share in (0.0, 0.02, 0.05):
-        before, expected = TRUE @ Pose2(share), near(0, 0, 0)
+        before, expected = at(TRUE @ Pose2(share)), near(0, 0, 0)
         for beams in (config.min_beams - 1, config.min_beams):
             hits = np.concatenate((some[:beams], far))
             _, match = Registration(config, ScanMatcher()).register(
@@ -205,22 +211,16 @@ def test_fewest_beams_are_enough_however_small_their_share(config: RegistrationC
             assert (match is not None) == (beams == config.min_beams)
 
 
-def test_on_uneven_ground_a_poor_match_is_rejected_where_that_is_configured() -> None:
+def test_on_uneven_ground_a_poor_match_is_rejected() -> None:
     builder, points = room_map(TRUE)
     noise = np.column_stack((np.random.default_rng(0).uniform(-2, 2, (len(points), 2)), points[:, 2]))
-    weights: NDArray[np.float64] = np.ones(len(points))
     expected = near(0, 0, 0)
     estimate, match = Registration(CONFIGS[0], ScanMatcher()).register(
-        builder.pyramid, noise, weights, expected, Pose2()
+        builder.pyramid, noise, np.ones(len(points)), expected, at(Pose2())
     )
     assert match is not None
     assert match.score < CONFIGS[0].search_threshold
     assert estimate is expected
-    forced = replace(CONFIGS[0], reject_poor=False, mahalanobis_gate=math.inf)
-    assert (
-        Registration(forced, ScanMatcher()).register(builder.pyramid, noise, weights, expected, Pose2())[0]
-        is not expected
-    )
 
 
 def test_the_wider_search_survives_a_sharp_turn() -> None:
@@ -245,3 +245,45 @@ def test_small_matrices_equal_numpy() -> None:
             moved_covariance(A, dx, dy, shift, turn), G @ A @ G.T + np.diag((shift, shift, turn)), rtol=1e-9
         )
     assert not invert3(np.zeros((3, 3))).any()
+
+
+MOTION = MotionConfig()
+FIRM, NONE = 1e6, 1e-6
+"""Information of a direction that a scan constrains to a millimeter, and of one that it does not."""
+
+
+def track(*pulls: tuple[float, float], yaw: float = 0.0, sees: tuple[float, float] = (FIRM, FIRM)) -> Pose2:
+    """Pose of a robot that drives .1 m a scan ahead; matches pull by (dx, dy) from dead reckoning."""
+    window, estimate = ReckoningWindow(MonitorConfig()), PoseEstimate(Pose2(yaw=yaw), np.zeros((3, 3)))
+    for dx, dy in pulls:
+        expected = MOTION.step(Pose2(0.1), 0.1, turned=0.0).after(estimate)
+        window.move(estimate, expected)
+        matched = expected.pose.as_array() + np.array((dx, dy, 0.0))
+        estimate = window.limit(expected, matched, np.diag((*sees, FIRM)))
+    return estimate.pose
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-3e-3, 3e-3), st.floats(-3e-3, 3e-3))
+def test_corrections_as_small_as_the_errors_of_dead_reckoning_enter(yaw: float, dx: float, dy: float) -> None:
+    pose = track(*[(dx, dy)] * 50, yaw=yaw)
+    expected = 5.0 * math.cos(yaw) + 50 * dx, 5.0 * math.sin(yaw) + 50 * dy
+    np.testing.assert_allclose((pose.x, pose.y), expected, atol=1e-6)
+
+
+def test_a_match_that_jumps_as_to_a_hillside_moves_the_robot_in_the_other_direction_alone() -> None:
+    pose = track(*[(0.0, 0.0)] * 20, (0.6, 0.02))
+    np.testing.assert_allclose((pose.x, pose.y), (2.1, 0.02), atol=1e-3)
+
+
+def test_a_match_that_pulls_steadily_is_held_within_the_errors_of_dead_reckoning() -> None:
+    """A climb makes each hillside recede a little; no single match looks wrong."""
+    pull = 0.02
+    pose = track(*[(0.0, pull)] * 300)
+    deviation = MOTION.translation_per_meter * math.sqrt(30.0)
+    assert abs(pose.y) < 5 * deviation < 300 * pull / 5
+    assert abs(pose.x - 30.0) < 0.05
+
+
+def test_a_direction_that_a_scan_does_not_constrain_follows_dead_reckoning() -> None:
+    pose = track(*[(0.01, 0.01)] * 5, sees=(NONE, FIRM))
+    np.testing.assert_allclose((pose.x, pose.y), (0.5, 0.05), atol=1e-6)
