@@ -41,7 +41,7 @@ class MonitorConfig(Checked):
     localizable_share: float = limited(0.7, "(0, 1)")
     least_localizable_share: float = 0.15
     localizable_memory: float = limited(50.0, "[1, inf]")
-    localizable_meters: float = limited(2.0, "(0, inf]")
+    localizable_meters: float = limited(4.0, "(0, inf]")
     first_meters: float = limited(0.4, "(0, inf]")
     drawn_share: float = limited(0.5, "(0, 1)")
     recent_share: float = limited(0.8, "(0, 1)")

@@ -92,8 +92,8 @@ def test_walls_that_came_late_are_drawn_once_they_are_sure() -> None:
     """Of a start on a slope few scans fit; a short drive would have no map else."""
     poor_start = [0.3] * 100
     assert not observed(*poor_start, *[0.9] * 30).draws(10.0)
-    assert observed(*poor_start, *[0.9] * 160).draws(10.0)
-    assert observed(*poor_start * 2, *[0.9] * 220).draws(10.0)
+    assert observed(*poor_start, *[0.9] * 220).draws(10.0)
+    assert observed(*poor_start * 2, *[0.9] * 260).draws(10.0)
     assert not observed(*poor_start * 5, *[0.9] * 180).draws(10.0)
 
 
@@ -105,11 +105,11 @@ def test_the_first_meters_are_drawn_until_enough_scans_were_matched() -> None:
 
 def test_a_slow_robots_first_faint_walls_are_drawn_while_the_latest_fit() -> None:
     """While it creeps, a map of few scans is faint: they score low, and walls are there all the same."""
-    slow = observed(*[0.51] * 25, *[0.7] * 30)
+    slow = observed(*[0.51] * 20, *[0.7] * 35)
     assert not slow.localizable
     assert slow.draws(1.4)
     assert not slow.draws(6.0)
-    assert not observed(*[0.51] * 25, *[0.7] * 30, *[0.3] * 30).draws(2.0)
+    assert not observed(*[0.51] * 20, *[0.7] * 35, *[0.3] * 30).draws(2.0)
 
 
 @given(st.lists(st.none() | st.floats(0.0, 1.0), max_size=200))
