@@ -352,7 +352,7 @@ def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:
             raise ConfigError(f"{config.mapper} reads point clouds: tune takes planar mappers")
         check_log(config, mapper, log)
         try:
-            tracking, _ = replay(config, mapper, log, readings, lambda *_: None)
+            tracking, *_ = replay(config, mapper, log, readings, lambda *_: None)
             path = mapper.trajectory()
         except MapperError as error:
             return TuneScore(math.log(MAX_RATIO), reason=str(error))

@@ -16,12 +16,12 @@ from lirs_envs.robots.robot import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_validation.driving.path_driver import Frame
-from lirs_validation.experiment.lost_rule import LostRule
-from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest
+from lirs_validation.experiment.mapper_under_test import Estimate, LostRule, MapperUnderTest
 from lirs_validation.metrics.elevation import CloudSample
 from lirs_validation.record.run_record import Status
 from lirs_wct import BoolArray, FloatArray, Imu, LaserScan, Pose2, Pose3, SimulationError, Trajectory
 from slam_baselines.dead_reckoning import spatial_odometry
+from slam_baselines.watch import Watch
 
 
 class Driver(Protocol):
@@ -124,7 +124,9 @@ def _add(
 ) -> None:
     """Log a mapped observation with the truth, and hand it to the recorder."""
     masks = (simulation.walker_beams, simulation.walker_points) if simulation.config.actors else (None, None)
-    log.add(observation, T_world_base, estimate.pose, *masks, covariance=estimate.covariance)
+    log.add(
+        observation, T_world_base, estimate.pose, *masks, covariance=estimate.covariance, lost=estimate.lost
+    )
     if recorder is not None:
         recorder(observation, T_world_base, log.in_plane(estimate.pose))
 
@@ -200,6 +202,8 @@ class DriveLog:
         walker_beams: Masks of each scan's beams that met a walker; empty without walkers.
         truth: `T_world_base`, from the simulator.
         estimates: `T_map_base`, the mapper's online answers, in the plane or in space.
+        lost: Whether the mapper did not know its place, scan by scan.
+        alarms: Whether the watch on its poses gave an alarm, scan by scan.
         covariances: (3, 3) each of x, y, yaw of the estimates; None where the mapper gave none.
         commands: Commands of the driver, one per tick: after the first observation, the second, ...
         final_trajectory: Trajectory of the mapper in its map frame after the drive; None while it lasts.
@@ -219,6 +223,8 @@ class DriveLog:
     walker_beams: list[BoolArray] = field(default_factory=list)
     truth: PackedList[Pose3] = field(default_factory=_pack_as(Pose3, "x", "y", "z", "qw", "qx", "qy", "qz"))
     estimates: list[Pose2 | Pose3] = field(default_factory=list)
+    lost: list[bool] = field(default_factory=list)
+    alarms: list[bool] = field(default_factory=list)
     covariances: list[FloatArray | None] = field(default_factory=list)
     commands: PackedList[Twist] = field(default_factory=_pack_as(Twist, "v", "omega", "climb"))
     final_trajectory: Trajectory | None = None
@@ -229,6 +235,7 @@ class DriveLog:
     over: bool = False
     concurrent: bool = False
     load: float | None = None
+    watch: Watch = field(default_factory=Watch)
 
     def add(
         self,
@@ -238,6 +245,8 @@ class DriveLog:
         walker_beams: BoolArray | None = None,
         walker_points: BoolArray | None = None,
         covariance: FloatArray | None = None,
+        *,
+        lost: bool = False,
     ) -> None:
         """Append an observation and its true pose, and the mapper's estimate.
 
@@ -256,6 +265,8 @@ class DriveLog:
         self.truth.append(T_world_base)
         self.estimates.append(estimate)
         self.covariances.append(covariance)
+        self.lost.append(lost)
+        self.alarms.append(self.watch.update(self.in_plane(estimate), scan.stamp))
 
     def end(self, status: Status, reason: str) -> None:
         """End the drive."""

@@ -14,6 +14,7 @@ from lirs_validation.experiment.loading import RESOLUTION
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, package_versions
 from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
+from lirs_validation.metrics.failure import describe_failure, window_errors
 from lirs_validation.metrics.map import MapScores, map_scores, observed_support
 from lirs_validation.metrics.trajectory import (
     StartAlignment,
@@ -26,7 +27,7 @@ from lirs_validation.metrics.trajectory import (
 )
 from lirs_validation.processes import is_shared
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, versions
-from lirs_validation.record.verdict import incompleteness
+from lirs_validation.record.verdict import LIMITS, incompleteness
 from lirs_wct import FloatArray, OccupancyGrid, SimulationError, Trajectory, World
 from slam_baselines.front_end import KnownPoseMapper
 
@@ -159,12 +160,25 @@ def evaluate_trajectory(log: DriveLog, simulation: Simulation) -> dict[str, Any]
         errors["odometry_ate_rmse_3d"] = spatial_errors(truth, log.spatial_odometry()).ate_rmse_3d
     online, T_map_world = log.online().moved(log.T_world_map), log.truth[0].to_pose2().inverse()
     in_plane = Trajectory.from_poses(log.stamps, map(log.in_plane, log.estimates))
+    odometry_ate = trajectory_errors(truth, odometry).ate_rmse
+    lost = log.status == "lost" or errors["ate_rmse"] > LIMITS.most_error(odometry_ate)
     return errors | {
         "ate_rmse_online": trajectory_errors(truth, online).ate_rmse,
         "inside_95": inside_95(truth.moved(T_map_world).xy, in_plane.xy, log.covariances),
-        "odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse,
+        "odometry_ate_rmse": odometry_ate,
+        "failure": evaluate_failure(log, truth, in_plane, odometry, lost=lost),
         **driven,
     }
+
+
+def evaluate_failure(
+    log: DriveLog, truth: Trajectory, online: Trajectory, odometry: Trajectory, *, lost: bool
+) -> dict[str, Any]:
+    """Compare when the path fails with when the mapper, and the watch on its poses, reported it."""
+    error, reckoned = window_errors(truth.xy, online.xy), window_errors(truth.xy, odometry.xy)
+    failing = error > LIMITS.most_error(reckoned)
+    alarms = {"mapper": np.array(log.lost), "watch": np.array(log.alarms)}
+    return describe_failure(log.stamps, failing, alarms, lost=lost)
 
 
 def evaluate_rtf(log: DriveLog, simulation: Simulation, *, replayed: bool = True) -> dict[str, Any]:

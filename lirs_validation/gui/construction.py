@@ -18,7 +18,7 @@ import yaml
 
 from lirs_validation.experiment.scenario import DRIVEN_SIDE, is_large
 from lirs_validation.logs.map_log import check_log_file, resolve_source
-from lirs_validation.metrics.world_facts import (
+from lirs_validation.metrics.world_geometry import (
     Facts as Facts,
     ground_facts,
     measured_facts,

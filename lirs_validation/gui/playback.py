@@ -250,7 +250,7 @@ class LiveDrive(Playback):
         next(self._ticks)
         super().__init__(config.robot, ready.scenario.world, ready.seconds, log)
         self.config, self.status = config, "driving"
-        self._counted = {"loop closed": 0, "lost": 0}
+        self._counted = {"loop closed": 0, "lost": 0, "alarm": 0}
         self._take_stock()
 
     @property
@@ -320,7 +320,8 @@ class LiveDrive(Playback):
             self.maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
             scores["occupied_cells"] = int(grid.occupied.sum())
         stats = mapper.stats
-        for name, count in (("loop closed", stats.counts.get("loops", 0)), ("lost", stats.lost)):
+        counts = {"loop closed": stats.counts.get("loops", 0), "lost": stats.lost}
+        for name, count in (counts | {"alarm": len(log.watch.alarms)}).items():
             if count > self._counted[name]:
                 self.marks.append((self.time, name))
             self._counted[name] = count

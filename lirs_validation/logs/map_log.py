@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lirs_validation.config import MapConfig, sha256
-from lirs_validation.experiment.lost_rule import LostRule
 from lirs_validation.experiment.mapper_under_test import (
     LocalMapper,
+    LostRule,
     MapperProcess,
     MapperUnderTest,
     SensorReadings,
@@ -72,6 +72,7 @@ from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.source import SourceKind, find_source, is_bag
 from slam_baselines.front_end import KnownPoseMapper
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, file_name, make_mapper, read_parameters, warm_up
+from slam_baselines.watch import Watch
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.canvas import Drawing
@@ -216,7 +217,7 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
     with _measure_time(seconds, "map_seconds"):
-        tracking, level = replay(config, mapper, log, readings, progress)
+        tracking, watch, level = replay(config, mapper, log, readings, progress)
         trajectory = mapper.trajectory()
         grid = horizontal_map(level, trajectory, config.resolution) if mapper.reads_clouds else mapper.map()
     cost = {**seconds, **asdict(meter.cost())}
@@ -238,7 +239,7 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         | {"inertial_readings": sum(reading is not None for reading in readings)}
         | {"unfit": preflight.unfit, "findings": [str(finding) for finding in preflight.findings]},
         map=describe_map(grid),
-        trajectory=path,
+        trajectory=path | {"alarms": [stamp - log.stamps[0] for stamp in watch.alarms]},
         mapper=asdict(mapper.stats),
         accuracy=accuracy.metrics(),
         quality=quality | {"second": second},
@@ -299,9 +300,9 @@ def replay(
     log: LaserLog,
     readings: Sequence[Imu | None],
     progress: Progress,
-) -> tuple[LostRule, list[LaserScan]]:
-    """Replay a log; return losses of the place, and horizontal beams of point clouds."""
-    tracking, level, points, before = LostRule(), list[LaserScan](), 0, -np.inf
+) -> tuple[LostRule, Watch, list[LaserScan]]:
+    """Replay a log; return losses of the place, the watch, and horizontal beams of point clouds."""
+    tracking, watch, level, points, before = LostRule(), Watch(), list[LaserScan](), 0, -np.inf
     scans: Iterable[LaserScan | PointCloud] = log.scans if log.clouds is None else log.clouds
     for k, (scan, odometry, imu) in enumerate(zip(scans, log.odometry, readings, strict=True)):
         if isinstance(scan, LaserScan):
@@ -317,10 +318,12 @@ def replay(
         except ConfigError as error:
             raise SourceError(f"{config.log}: {error}") from error
         tracking.observe(scan.stamp, estimate.lost)
+        pose = estimate.pose
+        watch.update(pose.to_pose2() if isinstance(pose, Pose3) else pose, scan.stamp)
         progress("map", (k + 1) / len(readings))
     if level and not points:
         raise SourceError(f"{config.log}: none of its {len(level)} point clouds holds a valid point")
-    return tracking, level
+    return tracking, watch, level
 
 
 def horizontal_scan(cloud: PointCloud) -> LaserScan:

@@ -1,29 +1,36 @@
-"""World geometry before any run: errors of meshes, walls in sight of a lidar."""
+"""World geometry before any run: errors of meshes, walls in sight of a lidar, facts in words."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
 from lirs_envs.lidar.ray_casting import Caster, MeshCaster, RayCaster
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import ROBOTS, Robot, make_robot
 from lirs_validation.metrics.map import count_hits
-from lirs_wct import BoolArray, FloatArray, Pose2, Pose3, TriangleMesh, World
+from lirs_wct import BoolArray, Float32Array, FloatArray, HeightField, Pose2, Pose3, TriangleMesh, World
 from lirs_wct.geometry.mesh import rasterize_heights
 
 POSES = 300
 """Places at which a scan is cast."""
 CELLS = 2000
 """Cells along the longer side, at most, of the grid on which drivable ground is looked for."""
+TERRAIN_CELLS = 1000
+"""The same of the grid on which it is counted on terrain, which has no thin walls."""
 STREAM = 31
 """Random stream of the seed from which they are drawn."""
 
 ENOUGH_WALLS = 0.05
 """Share of a scan's beams on walls above which planar mapping is expected to work."""
+Facts = tuple[tuple[str, str], ...]
+"""Names and values, to be shown as a table."""
+STRIP = 256
+"""Rows of nodes whose slopes are computed together."""
 
 
 def mesh_error(world: World, mesh: TriangleMesh | None = None) -> float:
@@ -141,3 +148,83 @@ def _poses(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
     points: FloatArray = free.centers(cells[rng.integers(len(cells), size=POSES)])
     yaws = rng.uniform(-math.pi, math.pi, POSES)
     return [Pose2(x, y, yaw) for (x, y), yaw in zip(points.tolist(), yaws.tolist(), strict=True)]
+
+
+def ground_facts(world: World) -> Iterator[tuple[str, str]]:
+    """Yield extent and heights of a world."""
+    surface, walls = world.surface, world.walls
+    (width, depth), (nodes_north, nodes_east), (across, along) = surface.size, surface.shape, surface.cell
+    yield "size", f"{width:g} x {depth:g} m"
+    if world.place is not None:
+        yield "place on earth", world.place.label()
+    apart = f"{across:.4g}" if math.isclose(across, along) else f"{across:.4g} and {along:.4g}"
+    yield "surface", f"{nodes_east} x {nodes_north} nodes, {apart} m apart"
+    if walls is not None:
+        cells = f"{walls.solid.sum()} of {walls.solid.size} cells of {walls.resolution:g} m"
+        yield "walls", f"{cells}, {walls.height:g} m high"
+    yield "heights", f"{surface.z.min():.3f} to {surface.z.max():.3f} m"
+
+
+def measured_facts(world: World, robot: str = "husky") -> Iterator[tuple[str, str]]:
+    """Yield slopes, drivable ground, a scanner's view, start poses and mesh of a world."""
+    median, p95 = np.percentile(_slopes(world.surface), (50, 95), overwrite_input=True).tolist()
+    yield "slopes", f"median {median:.1f} deg, 95 % below {p95:.1f} deg"
+    yield from _drivable(world)
+    support, hits = scan_support(world, make_robot(robot)), "-"
+    if support.poses:
+        hits = (
+            f"{support.wall_median:.0f} of {support.beams} beams a scan, {support.wall_p10:.0f} in the worst "
+            f"tenth of places; {support.ground_median:.0f} meet other ground"
+        )
+    yield f"walls in sight, {support.robot}", hits
+    yield "expectation", support.expectation
+    yield "start poses", _starts(world)
+    mesh, error = world.file_mesh, "exact"
+    yield "triangles", f"{len(mesh.faces)}"
+    yield "watertight", f"{'yes' if mesh.is_watertight_as_written else 'no'}, {mesh.volume:.6g} m3"
+    if world.walls is None:
+        error = f"{mesh_error(world, mesh):.6f} m at the nodes"
+        # Without a budget the mesh has every node and the field's diagonals; a closed mesh stays itself.
+        budget = world.file_options.max_error
+        error += f", at most {budget:.6f} m between them" if budget else ""
+    yield "mesh error", error
+
+
+def unresolved_robots(world: World) -> tuple[str, ...]:
+    """Return the robots for which the samples of a source are too far apart."""
+    spacing = world.sample_spacing or 0.0
+    return tuple(name for name, robot in ROBOTS.items() if spacing > 2 * robot.radius)
+
+
+def _starts(world: World) -> str:
+    """Return how many there are, and for whom if the source's samples resolve that robot."""
+    if not world.spawn_poses:
+        return "none: no robot on wheels fits"
+    if world.spawn_for in unresolved_robots(world):
+        return f"{len(world.spawn_poses)}, unknown whether {world.spawn_for} can stand between the samples"
+    whom = f", for {world.spawn_for} and smaller robots" if world.spawn_for else ""
+    return f"{len(world.spawn_poses)}{whom}"
+
+
+def _slopes(surface: HeightField) -> Float32Array:
+    """Return (rows, cols) slopes at the nodes, degrees, computed in strips to save memory."""
+    slopes = np.empty(surface.shape, np.float32)
+    for start in range(0, len(slopes), STRIP):
+        strip, above = slopes[start : start + STRIP], min(start, 1)
+        z = surface.z[start - above : start + STRIP + 1]
+        strip[:] = np.degrees(replace(surface, z=z).slope()[above : above + len(strip)])
+    return slopes
+
+
+def _drivable(world: World) -> Iterator[tuple[str, str]]:
+    """Yield the share of the ground where each robot's center may be."""
+    cells = TERRAIN_CELLS if world.walls is None else CELLS
+    resolution = max(0.1, max(world.surface.size) / cells)
+    limits = [(robot.radius, robot.max_slope) for robot in ROBOTS.values()]
+    grids = world.traversable_by(limits, resolution)
+    for (name, robot), grid in zip(ROBOTS.items(), grids, strict=True):
+        text = f"{100 * float(grid.free.mean()):.1f} %, up to {math.degrees(robot.max_slope):.0f} deg"
+        if name in unresolved_robots(world):
+            length = f"{2 * robot.radius:.2g} m"
+            text = f"unknown: samples {world.sample_spacing:.3g} m apart do not resolve {length}"
+        yield f"drivable, {name}", text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -38,7 +38,8 @@ class MapRecord:
             the stamps how many went back, were repeated and were moved, and by how much at most.
         map: cells, resolution, meters, occupied cells, square meters known.
         trajectory: poses, the share of the scans that has one (scan_coverage), and the share that contradicts
-            other passes (contradicted; null where not tested).
+            other passes (contradicted; null where not tested). When the watch on the poses gave an alarm
+            (alarms, seconds since the first scan).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
         accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.
         quality: figures without truth: revisit_residual, pass_residual, wall_thickness, longest_gap (meters)
@@ -137,6 +138,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("known", f"{grid['known_area']:.0f} m2"),
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
         ("scans while lost", f"{mapper['lost']}"),
+        ("alarms of the watch", _alarms(record.trajectory["alarms"])),
         ("scans in contradiction", None if contradicted is None else f"{100 * contradicted:.1f} %"),
         ("walls seen again differ by", _meters(quality.get("revisit_residual"))),
         ("... within one pass by", _meters(quality.get("pass_residual"))),
@@ -148,6 +150,11 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("memory of the maps", f"{mapper['memory'] / 1e6:.0f} MB"),
     ]
     return [(name, text) for name, text in rows if text is not None] + _accuracy_lines(record)
+
+
+def _alarms(times: Sequence[float]) -> str:
+    """Return how many alarms there were, and when the first began."""
+    return f"{len(times)}, the first after {times[0]:.1f} s" if times else "0"
 
 
 def _meters(value: float | None) -> str | None:

@@ -95,6 +95,16 @@ class Metric:
         return f"{self.formatted(value * self.scale)} {self.unit}".rstrip()
 
 
+def _alarm_metrics(source: str, who: str) -> tuple[Metric, ...]:
+    """Return the metrics of a source of alarms."""
+    key = f"trajectory.failure.{source}"
+    return (
+        Metric(f"{key}.noticed", f"losses noticed, {who}", "trajectory", "%", 0, PERCENT, "more"),
+        Metric(f"{key}.delay", f"delay, {who}", "trajectory", "s", 1, better="less"),
+        Metric(f"{key}.false_per_hour", f"false alarms, {who}", "trajectory", "per h", 1, better="less"),
+    )
+
+
 METRICS: tuple[Metric, ...] = (
     Metric("rtf.mean", "RTF", "rtf", digits=None, better="more",
            selections=("runs", "summary", "compared", "distribution")),
@@ -130,6 +140,8 @@ METRICS: tuple[Metric, ...] = (
     Metric("trajectory.rotation_rmse_3d", "attitude error", "trajectory", "deg", 3, DEGREES, "less",
            detail=True),
     Metric("trajectory.ate_rmse_online", "ATE online", "trajectory", "m", better="less", detail=True),
+    *_alarm_metrics("mapper", "own"),
+    *_alarm_metrics("watch", "watch"),
     Metric("trajectory.inside_95", "errors in 95 % ellipse", "trajectory", "%", 0, PERCENT, tested=False),
     Metric("trajectory.yaw_rmse", "yaw error", "trajectory", "deg", 3, DEGREES, "less", detail=True),
     Metric("trajectory.final_yaw_drift", "final yaw drift", "trajectory", "deg", 3, DEGREES, "less",

@@ -90,6 +90,10 @@ class VerdictLimits:
     elevation_rmse: float = 0.1
     elevation_seen: float = 0.8
 
+    def most_error(self, odometry: Any) -> Any:
+        """Return the largest error of a method that does not lose its way, of one or (n,) odometry errors."""
+        return self.times_odometry * odometry + self.over_odometry
+
 
 LIMITS = VerdictLimits()
 
@@ -161,7 +165,7 @@ def classify(
         return "loses its way", (status,)
     error, odometry, distance = figures.error, figures.odometry_error, figures.distance
     if odometry is not None:
-        most = limits.times_odometry * odometry + limits.over_odometry
+        most = limits.most_error(odometry)
     else:
         most = math.inf if distance is None else limits.drift * distance
     if error is not None and error > most:
@@ -249,7 +253,8 @@ def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Ver
     first = f"{lead}: {cause.rstrip('.')}." if cause else f"{lead}."
     unjudged = kind in ("failed", "not evaluated")
     results = () if unjudged else (_path_sentence(figures), _map_sentence(figures, limits))
-    parts = (first, *results, extent_sentences(entry))
+    reports = "" if unjudged else _report_sentence(entry, lost=kind == "loses its way")
+    parts = (first, *results, reports, extent_sentences(entry))
     return Verdict(kind, " ".join(part for part in parts if part), reasons)
 
 
@@ -374,6 +379,24 @@ def _path_sentence(figures: VerdictFigures) -> str:
         return f"{error}; there is no odometry to compare with."
     worse = "worse than " if is_worse(figures.error, figures.odometry_error) else ""
     return f"{error}, {worse}the odometry's {ODOMETRY_ERROR.text(figures.odometry_error)}."
+
+
+def _report_sentence(entry: Entry, *, lost: bool) -> str:
+    """Return whether the method reported that it was lost, and how often it did without being lost."""
+    failure: Entry = value_at(entry, "trajectory.failure") or {}
+    clauses, false = list[str](), value_at(failure, "mapper.false")
+    if lost and failure.get("onset") is not None:
+        delay = value_at(failure, "mapper.delay")
+        if delay is None:
+            clauses.append("It did not notice.")
+        else:
+            clauses.append(
+                f"It said so {f'after {delay:.1f} s' if delay >= 0 else f'{-delay:.1f} s before'}."
+            )
+    if false:
+        times = "once" if false == 1 else f"{false} times"
+        clauses.append(f"It reported itself lost {times} without being lost.")
+    return " ".join(clauses)
 
 
 def _map_sentence(figures: VerdictFigures, limits: VerdictLimits) -> str:

@@ -116,7 +116,7 @@ def info(
     lirs-wct info examples/data/office.clf.gz
     """
     from lirs_envs.robots.robot import make_robot
-    from lirs_validation.metrics.world_facts import ground_facts, measured_facts
+    from lirs_validation.metrics.world_geometry import ground_facts, measured_facts
     from lirs_wct.drawing.pictures import view_figure
     from lirs_wct.files import atomic_write
 

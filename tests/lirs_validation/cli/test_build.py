@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_validation.metrics.world_facts import STRIP, _slopes
-from lirs_validation.metrics.world_geometry import mesh_error
+from lirs_validation.metrics.world_geometry import STRIP, _slopes, mesh_error
 from lirs_wct import World
 from lirs_wct.files import MANIFEST
 from lirs_wct.formats import MESHES

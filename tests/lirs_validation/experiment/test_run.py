@@ -14,7 +14,7 @@ from lirs_envs.simulation import Simulation
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.config import ATTITUDES, Attitude
 from lirs_validation.experiment.evaluation import evaluate_rtf, per_second, reference_rtf
-from lirs_validation.experiment.lost_rule import LOST_SECONDS
+from lirs_validation.experiment.mapper_under_test import LOST_SECONDS
 from lirs_validation.experiment.run import Run, prepare
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
 from lirs_validation.sweep.tasks import RunTask

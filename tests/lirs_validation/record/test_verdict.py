@@ -8,7 +8,7 @@ from typing import Any, get_args
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lirs_validation.experiment.lost_rule import LostRule
+from lirs_validation.experiment.mapper_under_test import LostRule
 from lirs_validation.metrics.mapped_log import inconsistency
 from lirs_validation.record.metric_catalog import is_worse
 from lirs_validation.record.run_record import Status
@@ -194,6 +194,25 @@ def test_the_sentence_names_cause_errors_map_and_evaluated_part() -> None:
         "The source's samples are 62 m apart: they do not resolve a robot of 0.64 m."
     )
     assert [reason.figure for reason in verdict.reasons] == ["occupied cells", "trajectory error"]
+
+
+@pytest.mark.parametrize(
+    ("error", "onset", "delay", "false", "words"),
+    [
+        (0.9, 12.0, None, 0, " It did not notice. "),
+        (0.9, 12.0, 3.14, 0, " It said so after 3.1 s. "),
+        (0.9, 12.0, -1.2, 1, " It said so 1.2 s before. It reported itself lost once without being lost. "),
+        (0.1, None, None, 4, " It reported itself lost 4 times without being lost. "),
+        (0.9, None, None, 0, ""),
+    ],
+)
+def test_the_sentence_says_whether_a_loss_was_reported(
+    error: float, onset: float | None, delay: float | None, false: int, words: str
+) -> None:
+    failure = {"onset": onset, "mapper": {"delay": delay, "false": false}}
+    verdict = judge(ENTRY | {"trajectory": ENTRY["trajectory"] | {"ate_rmse": error, "failure": failure}})
+    assert words in verdict.sentence
+    assert ("notice" in verdict.sentence or "said so" in verdict.sentence) == (onset is not None)
 
 
 PAIR = {"f1": 0.67, "f1_aligned": 0.94, "false_occupied_aligned": 0.13, "reference_false_occupied": 0.0}

@@ -12,7 +12,7 @@ import pytest
 from pyproj import CRS
 
 from lirs_validation.gui.construction import preview_facts
-from lirs_validation.metrics.world_facts import ground_facts, measured_facts
+from lirs_validation.metrics.world_geometry import ground_facts, measured_facts
 from lirs_wct import World, write_package
 from lirs_wct.errors import ConfigError
 from lirs_wct.sources.build import build_world
