@@ -61,7 +61,7 @@ STRETCH, MISSING = 100, 20
 """Of so many scans, the last so many are missing."""
 LATE = 0.5
 """Delay of a late odometry, seconds."""
-FIGURES = ("revisit_residual", "difference", "wall_thickness", "contradicted", "pass_residual")
+FIGURES = ("revisit_residual", "difference", "wall_thickness", "pass_residual")
 """Compared with the true error."""
 COLUMNS = (
     *("log", "change", "mapper", "status", "length", "odometry_error", "error", "revisited", "second"),
@@ -153,7 +153,7 @@ def result(mapper: str, log: Path, truth: Mapping[str, Any]) -> tuple[dict[str, 
         status = "unfit" if record.log["unfit"] else record.status
         row = {"mapper": mapper, "status": status, "length": record.log["odometry_length"]}
         row |= {"error": record.accuracy[kind][error], "odometry_error": record.odometry[kind][error]}
-        row |= record.quality | {"contradicted": record.trajectory["contradicted"]}
+        row |= record.quality
         write_tum(path, mapped.trajectory)
         with atomic_write(done) as temporary:
             temporary.write_text(json.dumps(row) + "\n", encoding="utf-8")

@@ -37,8 +37,6 @@ from lirs_validation.logs.read_log import (
 )
 from lirs_validation.metrics.mapped_log import (
     Accuracy,
-    contradicted_share,
-    inconsistency,
     reference_errors,
     scan_consistency,
     trajectory_accuracy,
@@ -47,7 +45,7 @@ from lirs_validation.metrics.trajectory import associated, rms, scan_coverage
 from lirs_validation.processes import CostMeter, compile_timer
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_validation.record.run_record import RECORD, same_code
-from lirs_validation.record.verdict import incompleteness
+from lirs_validation.record.verdict import disagreement, incompleteness
 from lirs_wct import (
     BuildOptions,
     ConfigError,
@@ -224,11 +222,11 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
     relations, reference = truth = truth_in_time(truth, log.lines)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
     alone = trajectory_accuracy(log.track, log.track, *truth).metrics() if len(log.track) else {}
-    path = _describe_path(log, readings, trajectory)
+    path = _describe_path(log, trajectory)
     quality = asdict(found) if (found := scan_consistency(log.scans, readings, trajectory)) else {}
     judged = relations is not None or reference is not None or mapper.reads_clouds
     second = None if judged else _compare(config, log, readings, trajectory, progress)
-    lost = tracking.reason() or inconsistency(path["contradicted"])
+    lost = tracking.reason() or disagreement(quality.get("revisit_residual"))
     lacking = incompleteness(path["scan_coverage"])
     record = MapRecord(
         name=name,
@@ -249,14 +247,13 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
     return MappedLog(record, log, grid, trajectory, reference, accuracy)
 
 
-def _describe_path(log: LaserLog, readings: Sequence[Imu | None], trajectory: Trajectory) -> dict[str, Any]:
+def _describe_path(log: LaserLog, trajectory: Trajectory) -> dict[str, Any]:
     """Return a record's description of a trajectory; left-out scans lack a pose."""
     used = len(log.stamps) / (len(log.stamps) + log.left_out)
     return {
         "poses": len(trajectory),
         "length": trajectory.length,
         "scan_coverage": used * scan_coverage(log.stamps, trajectory.stamps),
-        "contradicted": contradicted_share(log.scans, readings, trajectory),
     }
 
 

@@ -1,20 +1,13 @@
 """Quality of a mapped log: errors of its trajectory, consistency with its scans.
 
-Rays pass through no walls. Placed by a correct trajectory, the scan of one pass ends where the other passes
-see a wall as well, or where they cannot see. Placed by a wrong one, many of its beams end in space that the
-beams of another pass crossed. The test needs neither the truth nor the mapper. People, doors and furniture
-that moved contradict too, but only a few beams of a scan.
+Placed by a correct trajectory, the scans of one pass end where the other passes see a wall as well, or where
+they cannot see. The revisit residual is the mean distance from a hit to the nearest hit of another pass, at
+most `MAX_RESIDUAL`. Hits behind what the other scan sees by more than that, or where it has no return, are
+not counted. It needs neither the truth nor the mapper.
 
-A hit is contradicted where every beam of another scan that passes within `FREE_DEPTH` of it ends more than
-`FREE_DEPTH` behind it. A hit behind the other scan's hit, or near a beam without return, is not counted.
-
-Limits: the test misses a place that was passed only once, a shift along a corridor whose walls look alike,
-and errors below `FREE_DEPTH`. A hillside seen from two heights contradicts itself: where the attitude is
-known and the robot tilts, there is no test; where it is unknown, the ground is taken for level.
-
-The revisit residual measures the same in meters: the mean distance from a hit to the nearest hit of another
-pass, at most `MAX_RESIDUAL`. Hits behind what the other scan sees by more than that, or where it has no
-return, are not counted.
+Limits: the test misses a place that was passed only once, and a shift along a corridor whose walls look
+alike. A hillside seen from two heights differs from itself: where the attitude is known and the robot tilts,
+there is no test; where it is unknown, the ground is taken for level.
 """
 
 from __future__ import annotations
@@ -45,12 +38,8 @@ STAMP_MARGIN = 2.0
 """Seconds around an estimate's time; constraints with a stamp outside are left out."""
 REFERENCE_GAP = 0.5
 """A reference pose is compared with the nearest scan, at most so many seconds away."""
-MAX_CONTRADICTED = 0.05
-"""Largest share of the scans that a trajectory may put where they contradict other passes."""
-FREE_DEPTH = 0.3
-"""Distance by which a hit must lie in free space, meters: more than noise and small errors of a map."""
 MAX_RANGE = 10.0
-"""Range up to which beams count, meters: farther away, a small error of the yaw exceeds `FREE_DEPTH`."""
+"""Range up to which beams count, meters: farther away, a small error of the yaw is a large distance."""
 PASS_LENGTH = 10.0
 """Distance driven between two scans from which on they belong to different passes, meters."""
 STEP, TURN = 0.5, 0.5
@@ -59,14 +48,12 @@ HITS = 90
 """Number of beams of a scan that are tested, about; the other scan counts with all of its beams."""
 MIN_HITS = 30
 """Hits in view of other passes that a scan needs to be tested."""
-CONTRADICTED = 0.25
-"""Share of these hits in free space above which the scan contradicts the other passes."""
 MAX_RESIDUAL = 1.0
 """Largest distance from a hit to the wall of another pass that counts, meters; larger ones count as this."""
 NEIGHBORHOOD, NEIGHBORS, PLACES = 0.5, 5, 4000
 """Radius in meters, fewest hits in it and number of places of the wall thickness."""
-LEVEL_SHARE = 0.95
-"""Share of the scans that must be level."""
+LEVEL_SHARE, MAX_HEIGHT = 0.95, 0.3
+"""Share of the scans that must be level, and most height of their hits above or below the laser, meters."""
 
 
 @dataclass(frozen=True)
@@ -220,31 +207,6 @@ def reference_errors(estimate: Trajectory, reference: Trajectory) -> ReferenceEr
     )
 
 
-def inconsistency(contradicted: float | None) -> str | None:
-    """Return why the share of contradicting scans is too high; None if acceptable."""
-    if contradicted is None or contradicted <= MAX_CONTRADICTED:
-        return None
-    return (
-        f"{100 * contradicted:.1f} % of the scans end in space that other passes saw free, "
-        f"at most {100 * MAX_CONTRADICTED:g} % may"
-    )
-
-
-def contradicted_share(
-    scans: Sequence[LaserScan], readings: Sequence[Imu | None], trajectory: Trajectory
-) -> float | None:
-    """Return the share of scans that contradict other passes; None without level scans.
-
-    One scan per half meter is tested; one that no other pass can test counts as consistent. The readings hold
-    the attitude at each scan, where it is known; the trajectory, `T_map_base` of two scans or more.
-    """
-    placed = _place_scans(scans, readings, trajectory)
-    if placed is None:
-        return None
-    seen, against = _compare(placed.ranges, placed.angles, placed.sensors, placed.driven)
-    return float(((seen >= MIN_HITS) & (against > CONTRADICTED * seen)).mean())
-
-
 @dataclass(frozen=True, kw_only=True)
 class ScanConsistency:
     """Quality of a trajectory by its own scans, without a truth.
@@ -267,7 +229,11 @@ class ScanConsistency:
 def scan_consistency(
     scans: Sequence[LaserScan], readings: Sequence[Imu | None], trajectory: Trajectory
 ) -> ScanConsistency | None:
-    """Return distances between walls of several scans; None as in `contradicted_share`."""
+    """Return distances between walls of several scans; None without level scans.
+
+    One scan per half meter is tested. The readings hold the attitude at each scan, where it is known; the
+    trajectory, `T_map_base` of two scans or more.
+    """
     placed = _place_scans(scans, readings, trajectory)
     if placed is None:
         return None
@@ -368,10 +334,10 @@ def _select_spaced(poses: FloatArray) -> tuple[IntArray, FloatArray]:
 
 
 def _is_level(scan: LaserScan, reading: Imu | None) -> bool:
-    """Return whether a hit at `MAX_RANGE` lies less than `FREE_DEPTH` above or below the laser."""
+    """Return whether a hit at `MAX_RANGE` lies less than `MAX_HEIGHT` above or below the laser."""
     attitude = Pose3() if reading is None else Pose3.from_rpy(0, 0, 0, reading.roll, reading.pitch, 0)
     upright = (attitude @ scan.T_base_laser).rotation[2, 2]
-    return bool(abs(upright) >= math.cos(FREE_DEPTH / MAX_RANGE))
+    return bool(abs(upright) >= math.cos(MAX_HEIGHT / MAX_RANGE))
 
 
 def _sweep(scan: LaserScan) -> tuple[FloatArray, float, float]:
@@ -382,60 +348,6 @@ def _sweep(scan: LaserScan) -> tuple[FloatArray, float, float]:
     if step >= 0:
         return ranges, start, step
     return ranges[::-1], start + step * (len(ranges) - 1), -step
-
-
-@njit
-def _compare(
-    ranges: FloatArray, angles: FloatArray, sensors: FloatArray, driven: FloatArray
-) -> tuple[IntArray, IntArray]:
-    """Return (n,) hits in view of other passes, and those in free space."""
-    n, beams = ranges.shape
-    seen, against = np.zeros(n, np.int64), np.zeros(n, np.int64)
-    stride = max(1, beams // HITS)
-    for i in range(n):
-        for j in range(n):
-            dx, dy = sensors[i, 0] - sensors[j, 0], sensors[i, 1] - sensors[j, 1]
-            if abs(driven[i] - driven[j]) < PASS_LENGTH or dx * dx + dy * dy > 4 * MAX_RANGE * MAX_RANGE:
-                continue
-            for k in range(0, beams, stride):
-                r = ranges[i, k]
-                if not r <= MAX_RANGE:
-                    continue
-                bearing = sensors[i, 2] + angles[i, 0] + k * angles[i, 1]
-                x, y = dx + r * math.cos(bearing), dy + r * math.sin(bearing)
-                distance = math.sqrt(x * x + y * y)
-                if distance > MAX_RANGE or distance < 2 * FREE_DEPTH:
-                    continue
-                start, step = sensors[j, 2] + angles[j, 0], angles[j, 1]
-                turn = (math.atan2(y, x) - start) % math.tau
-                nearest = int(turn / step + 0.5)
-                if nearest >= beams or not ranges[j, nearest] >= distance - FREE_DEPTH:
-                    continue
-                verdict = _sees(ranges[j], turn, step, distance)
-                seen[i] += verdict >= 0
-                against[i] += verdict == 1
-    return seen, against
-
-
-@njit
-def _sees(ranges: FloatArray, turn: float, step: float, distance: float) -> int:
-    """Return a scan's verdict on a point: 1 free, 0 wall, -1 unknown.
-
-    The point is `distance` meters away, `turn` radians from the first beam; `step` is the angle of two beams.
-    """
-    if ranges[int(turn / step + 0.5)] <= distance + FREE_DEPTH:
-        return 0
-    around = math.asin(FREE_DEPTH / distance)
-    first, last = math.ceil((turn - around) / step), math.floor((turn + around) / step)
-    if first < 0 or last >= len(ranges):
-        return -1
-    for k in range(first, last + 1):
-        if math.isnan(ranges[k]):
-            return -1
-    for k in range(first, last + 1):
-        if ranges[k] <= distance + FREE_DEPTH:
-            return 0
-    return 1
 
 
 @njit

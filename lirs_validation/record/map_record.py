@@ -31,15 +31,14 @@ class MapRecord:
 
     Attributes:
         name: Name of the folder.
-        status: `lost` where the mapper lost its place or the scans contradict each other, `incomplete` where
-            the trajectory leaves out scans; `reason` says when, and how many.
+        status: `lost` where the mapper lost its place or walls seen again differ, `incomplete` where the
+            trajectory leaves out scans; `reason` says when, and how many.
         log: scans, beams, laser, seconds, distance by odometry, skipped, left_out (scans), late, repaired,
             inertial_readings, findings (deviations), unfit (the one that spoils a map; empty without), and of
             the stamps how many went back, were repeated and were moved, and by how much at most.
         map: cells, resolution, meters, occupied cells, square meters known.
-        trajectory: poses, the share of the scans that has one (scan_coverage), and the share that contradicts
-            other passes (contradicted; null where not tested). When the watch on the poses gave an alarm
-            (alarms, seconds since the first scan).
+        trajectory: poses, length, the share of the scans that has a pose (scan_coverage), and when the watch
+            on the poses gave an alarm (alarms, seconds since the first scan).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
         accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.
         quality: figures without truth: revisit_residual, pass_residual, wall_thickness, longest_gap (meters)
@@ -123,7 +122,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
     """Return names and values of existing results, the status first."""
     log, grid, mapper, quality = record.log, record.map, record.mapper, record.quality
     width, depth = grid["size"]
-    driven, contradicted = log["odometry_length"], record.trajectory["contradicted"]
+    driven = log["odometry_length"]
     beams = "" if log["beams"] is None else f" of {log['beams']} beams"
     told = " (not told to the mapper)" if record.config.attitude == "none" else ""
     second = quality.get("second") or {}
@@ -139,7 +138,6 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
         ("scans while lost", f"{mapper['lost']}"),
         ("alarms of the watch", _alarms(record.trajectory["alarms"])),
-        ("scans in contradiction", None if contradicted is None else f"{100 * contradicted:.1f} %"),
         ("walls seen again differ by", _meters(quality.get("revisit_residual"))),
         ("... within one pass by", _meters(quality.get("pass_residual"))),
         ("wall thickness", _meters(quality.get("wall_thickness"))),

@@ -1,7 +1,7 @@
 """Verdict on a result: limits, class, one sentence for the user, and the reasons.
 
-The same rules hold for runs, mapped logs and scores; only mapped logs are tested for scans that contradict
-each other (`lirs_validation.metrics.mapped_log`): a run knows the truth, and its hillsides contradict.
+The same rules hold for runs, mapped logs and scores; only the walls of mapped logs are compared with each
+other (`lirs_validation.metrics.mapped_log`): a run knows the truth, and its hillsides differ.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ MIN_COVERAGE = 0.95
 AGREEING, BETTER = 0.25, 0.85
 """Largest revisit residual of a path that is probably right, meters, and share of it below which another
 path is the better one (docs/measured.md)."""
+DISAGREEING = 0.4
+"""Revisit residual above which a path is lost, meters (docs/measured.md)."""
 MAX_GAP = 10.0
 """Longest way without a scan over which the passes before and after it have one frame, meters."""
 DRIVE_ENDED = ("tipped", "stuck", "off world")
@@ -206,6 +208,13 @@ def incompleteness(coverage: float) -> str | None:
         f"the trajectory has a pose for {100 * coverage:.1f} % of the scans, "
         f"at least {100 * MIN_COVERAGE:g} % are required"
     )
+
+
+def disagreement(residual: float | None) -> str | None:
+    """Return why a path's revisit residual is too large; None if acceptable or not known."""
+    if residual is None or residual <= DISAGREEING:
+        return None
+    return f"walls seen again differ by {residual:.2f} m, at most {DISAGREEING:g} m may"
 
 
 @dataclass(frozen=True)

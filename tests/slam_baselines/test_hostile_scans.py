@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_extensions.search.twin.surface import fit_surfaces, scan_arrays
-from lirs_validation.metrics.mapped_log import contradicted_share, scan_consistency
+from lirs_validation.metrics.mapped_log import scan_consistency
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -57,7 +57,6 @@ def test_metrics_survive(range_max: float, range_min: float) -> None:
     read = scans(range_max, range_min, 60)
     trajectory = Trajectory.from_poses([s.stamp for s in read], [Pose2(0.03 * k) for k in range(60)])
     readings: list[Imu | None] = [None] * len(read)
-    contradicted_share(read, readings, trajectory)
     scan_consistency(read, readings, trajectory)
     if range_max:  # a log without any hit is refused
         fit_surfaces(scan_arrays(read, trajectory))

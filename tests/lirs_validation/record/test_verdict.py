@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lirs_validation.experiment.mapper_under_test import LostRule
-from lirs_validation.metrics.mapped_log import inconsistency
 from lirs_validation.record.metric_catalog import is_worse
 from lirs_validation.record.run_record import Status
 from lirs_validation.record.verdict import (
@@ -17,6 +16,7 @@ from lirs_validation.record.verdict import (
     VerdictFigures,
     VerdictLimits,
     classify,
+    disagreement,
     incompleteness,
     judge,
     judge_log,
@@ -64,10 +64,10 @@ def test_a_trajectory_needs_a_pose_for_95_percent_of_the_scans(coverage: float, 
         assert "at least 95 % are required" in lacking
 
 
-def test_up_to_5_percent_of_the_scans_may_contradict_other_passes() -> None:
-    assert inconsistency(None) is None
-    assert inconsistency(0.05) is None
-    assert "5.1 % of the scans" in (inconsistency(0.051) or "")
+def test_walls_seen_again_may_differ_by_40_centimeters() -> None:
+    assert disagreement(None) is None
+    assert disagreement(0.4) is None
+    assert "differ by 0.41 m" in (disagreement(0.41) or "")
 
 
 @pytest.mark.parametrize(
