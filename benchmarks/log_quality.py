@@ -61,7 +61,7 @@ STRETCH, MISSING = 100, 20
 """Of so many scans, the last so many are missing."""
 LATE = 0.5
 """Delay of a late odometry, seconds."""
-FIGURES = ("revisit_residual", "difference", "wall_thickness", "pass_residual")
+FIGURES = ("revisit_residual", "difference", "pass_residual")
 """Compared with the true error."""
 COLUMNS = (
     *("log", "change", "mapper", "status", "length", "odometry_error", "error", "revisited", "second"),

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         wrap_angle,
     )
     from lirs_wct.geometry.mesh import TriangleMesh
+    from lirs_wct.progress import Progress, no_progress
     from lirs_wct.sources.build import build_world
     from lirs_wct.sources.source import BuildOptions
     from lirs_wct.world import World
@@ -46,6 +47,7 @@ _NAMES = {
     "geometry.mesh": "TriangleMesh",
     "geometry.pose": "Pose2 Pose3 Trajectory covariance_fault in_axes_of wrap_angle",
     "geometry.scan": "Imu ImuReadings LaserScan PointCloud",
+    "progress": "Progress no_progress",
     "sources.build": "build_world",
     "sources.source": "BuildOptions",
     "world": "World",
@@ -71,6 +73,7 @@ __all__ = [
     "PointCloud",
     "Pose2",
     "Pose3",
+    "Progress",
     "SimulationError",
     "SourceError",
     "Trajectory",
@@ -81,6 +84,7 @@ __all__ = [
     "build_world",
     "covariance_fault",
     "in_axes_of",
+    "no_progress",
     "unknown_name",
     "wrap_angle",
     "write_package",

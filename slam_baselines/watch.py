@@ -1,4 +1,4 @@
-"""Monitor of any SLAM method by its poses alone: large errors of its path over the last meters.
+"""Monitor of large errors of any SLAM method, by its poses alone.
 
 The path of a robot is smooth, and wheels do not move sideways. Steps of the path that leave the velocity
 around them, and sideways motion beyond the slip of turns, are errors. Both become an absolute trajectory
@@ -24,6 +24,12 @@ LONG_STEP = 0.25
 """Seconds of a step from which on its sideways motion does not count: the robot may have turned."""
 ROUNDING = 0.005
 """Difference from the expected step that is no jump, meters and radians."""
+ACCELERATION = 10.0
+"""Largest plausible change of the velocity within a step, m/s²; of the rate of turn, 20 rad/s²."""
+LENGTH, MIN_LENGTH = 5.0, 1.0
+"""Path over which the error is estimated, and from which on there is an estimate, meters."""
+CLEAR, HOLD = 0.7, 2.0
+"""Share of the limit below which an alarm ends, and its shortest time, seconds."""
 SPACING, CAPACITY = 0.01, 2048
 """Meters between two stored poses, and number of stored poses."""
 DRIVEN, ESTIMATE, SMOOTH, WHEELED, COLUMNS = 0, 1, 3, 5, 7
@@ -37,13 +43,7 @@ class WatchConfig(Checked):
     """Conditions of an alarm.
 
     Attributes:
-        length: Path over which the error is estimated, meters.
-        min_length: Path from which on there is an estimate, meters.
-        error: Estimated error above which an alarm begins, meters.
-        clear_share: Share of it below which the alarm ends.
-        hold: Shortest time of an alarm, seconds.
-        acceleration: Largest plausible change of the velocity within a step, m/s²; of the rate of turn, twice
-            as much in rad/s².
+        error: Estimated error above which an alarm begins, meters; it ends below `CLEAR` times that.
         slip: ATE by sideways motion that wheels have in turns and on slopes, meters; inf = the robot can move
             sideways.
 
@@ -51,12 +51,7 @@ class WatchConfig(Checked):
         ConfigError: a value is not legal.
     """
 
-    length: float = limited(5.0, "(0, inf)", "m")
-    min_length: float = limited(1.0, "(0, inf)", "m")
     error: float = limited(0.11, "(0, inf)", "m")
-    clear_share: float = limited(0.7, "(0, 1]")
-    hold: float = limited(2.0, "[0, inf)", "s")
-    acceleration: float = limited(10.0, "(0, inf]")
     slip: float = limited(0.03, "[0, inf]", "m")
 
 
@@ -94,30 +89,26 @@ class Watch:
         self._received += 1
         c = self._config
         if self._received > STEPS:
-            error: float = _advance(
-                self._poses, self._stamps, self._window, self._state, c.acceleration, c.slip, c.length,
-                c.min_length,
-            )  # fmt: skip
+            error: float = _advance(self._poses, self._stamps, self._window, self._state, c.slip)
             self.error = error
         if self.error > c.error:
             self.alarms += [] if self.alarm else [stamp]
             self.alarm, self._exceeded = True, stamp
-        elif not self.error > c.clear_share * c.error and stamp - self._exceeded > c.hold:
+        elif not self.error > CLEAR * c.error and stamp - self._exceeded > HOLD:
             self.alarm = False
         return self.alarm
 
 
 @njit
 def _advance(
-    poses: FloatArray, stamps: FloatArray, window: FloatArray, state: FloatArray, acceleration: float,
-    slip: float, length: float, min_length: float,
-) -> float:  # fmt: skip
-    """Take in the middle step; return the ATE by jumps, or by sideways motion beyond the slip if larger.
+    poses: FloatArray, stamps: FloatArray, window: FloatArray, state: FloatArray, slip: float
+) -> float:
+    """Take in the middle step; return the ATE by jumps or by sideways motion.
 
-    The smooth path makes the expected step where the estimate jumps, and the wheeled one none sideways. NaN
-    where too little is driven.
+    The larger one counts, the latter less the slip; NaN where too little is driven. The smooth path makes the
+    expected step where the estimate jumps, and the wheeled one none sideways.
     """
-    along, across, turn = _plausible_step(poses, stamps, acceleration)
+    along, across, turn = _plausible_step(poses, stamps)
     sideways = across if stamps[MIDDLE + 1] - stamps[MIDDLE] > LONG_STEP else 0.0
     for path, shift in ((PATHS, across), (PATHS + 3, sideways)):
         heading = state[path + 2] + turn / 2
@@ -125,16 +116,16 @@ def _advance(
         state[path] += c * along - s * shift
         state[path + 1] += s * along + c * shift
         state[path + 2] += turn
-    _store(window, state, poses[MIDDLE + 1], math.hypot(along, across), length)
+    _store(window, state, poses[MIDDLE + 1], math.hypot(along, across))
     rows = window[int(state[FIRST]) : int(state[END])]
-    if rows[-1, DRIVEN] - rows[0, DRIVEN] < min_length:
+    if rows[-1, DRIVEN] - rows[0, DRIVEN] < MIN_LENGTH:
         return math.nan
     error: float = max(_aligned_rms(rows, ESTIMATE, SMOOTH), _aligned_rms(rows, SMOOTH, WHEELED) - slip)
     return error
 
 
 @njit
-def _plausible_step(poses: FloatArray, stamps: FloatArray, acceleration: float) -> tuple[float, float, float]:
+def _plausible_step(poses: FloatArray, stamps: FloatArray) -> tuple[float, float, float]:
     """Return the middle step, along and across its mean heading and its turn.
 
     If it jumps, that is, differs from the step by the median velocity by more than an acceleration explains,
@@ -150,7 +141,7 @@ def _plausible_step(poses: FloatArray, stamps: FloatArray, acceleration: float) 
         velocities[0, k] = (c * dx + s * dy) / times[k]
         velocities[1, k] = (c * dy - s * dx) / times[k]
         velocities[2, k] = turn / times[k]
-    limit = acceleration * times[MIDDLE] * times[MIDDLE - 1 : MIDDLE + 2].max() + ROUNDING
+    limit = ACCELERATION * times[MIDDLE] * times[MIDDLE - 1 : MIDDLE + 2].max() + ROUNDING
     expected = (np.median(velocities[0]), np.median(velocities[1]), np.median(velocities[2]))
     jumps = False
     for k in range(3):
@@ -162,8 +153,8 @@ def _plausible_step(poses: FloatArray, stamps: FloatArray, acceleration: float) 
 
 
 @njit
-def _store(window: FloatArray, state: FloatArray, pose: FloatArray, step: float, length: float) -> None:
-    """Add the paths' points to the window, which keeps the last `length` meters."""
+def _store(window: FloatArray, state: FloatArray, pose: FloatArray, step: float) -> None:
+    """Add the paths' points to the window, which keeps the last meters."""
     first, end = int(state[FIRST]), int(state[END])
     driven = step if end == first else window[end - 1, DRIVEN] + step
     if end > first + 1:
@@ -171,7 +162,7 @@ def _store(window: FloatArray, state: FloatArray, pose: FloatArray, step: float,
         moved = math.hypot(pose[0] - last[ESTIMATE], pose[1] - last[ESTIMATE + 1])
         if driven - last[DRIVEN] < SPACING and moved < SPACING:
             end -= 1  # the newest row is replaced until it is far enough from the one before
-    while first < end - 1 and driven - window[first + 1, DRIVEN] >= length:
+    while first < end - 1 and driven - window[first + 1, DRIVEN] >= LENGTH:
         first += 1
     if end == len(window):  # move the window to the front; of one that fills it, leave out the older half
         first = max(first, end // 2)
@@ -187,9 +178,9 @@ def _store(window: FloatArray, state: FloatArray, pose: FloatArray, step: float,
 
 @njit
 def _aligned_rms(rows: FloatArray, a: int, b: int) -> float:
-    """Return the ATE between points p, in columns a and a + 1, and q, in b and b + 1, after rigid alignment.
+    """Return the ATE between two columns of points after rigid alignment.
 
-    With both centered, it is sqrt((sum |p|² + |q|² - 2 |sum conj(p) q|) / n) (Umeyama, PAMI 1991).
+    With points p and q centered, it is sqrt((sum |p|² + |q|² - 2 |sum conj(p) q|) / n) (Umeyama, PAMI 1991).
     """
     n, px, py, qx, qy = len(rows), 0.0, 0.0, 0.0, 0.0
     for row in rows:

@@ -20,8 +20,16 @@ from lirs_extensions.bench.policies import MARGINS
 from lirs_extensions.bench.tasks import BenchTask, TaskSet, WorldSpec
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import Scenario, build_scenario
-from lirs_wct import BuildOptions, ConfigError, FloatArray, SimulationError, SourceError, World
-from lirs_wct.progress import Progress, no_progress
+from lirs_wct import (
+    BuildOptions,
+    ConfigError,
+    FloatArray,
+    Progress,
+    SimulationError,
+    SourceError,
+    World,
+    no_progress,
+)
 
 VERSION = 1
 """Version of the drawing in a user's worlds."""

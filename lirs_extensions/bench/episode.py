@@ -27,9 +27,8 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import is_interrupt
 from lirs_validation.record.run_record import plain, versions
 from lirs_validation.sweep.sweep import Outcome, SweepTask, read_status
-from lirs_wct import ConfigError, Float32Array, FloatArray, SourceError
+from lirs_wct import ConfigError, Float32Array, FloatArray, Progress, SourceError, no_progress
 from lirs_wct.files import atomic_folder
-from lirs_wct.progress import Progress, no_progress
 
 SPENT = "path driven"
 """Reason for the end of a mapping episode with a used-up path budget."""

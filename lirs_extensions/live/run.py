@@ -25,10 +25,9 @@ from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude, warm_up
 from lirs_validation.experiment.scenario import Scenario, build_scenario
 from lirs_validation.processes import compile_timer
-from lirs_wct import ConfigError, Pose2, unknown_name
+from lirs_wct import ConfigError, Pose2, Progress, no_progress, unknown_name
 from lirs_wct.files import check_writable
 from lirs_wct.formats.rosbag.topics import MAP_TOPIC
-from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import MAPPERS
 
 LOOK = 0.05

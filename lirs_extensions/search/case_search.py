@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from lirs_validation.sweep.engines import Failure, WorkerPool
-from lirs_wct import ConfigError, FloatArray, OutputError, WctError
-from lirs_wct.progress import Progress
+from lirs_wct import ConfigError, FloatArray, OutputError, Progress, WctError
 
 DIGITS = 3
 """Significant digits of a value."""

@@ -14,7 +14,7 @@ from lirs_validation.experiment.loading import RESOLUTION
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, package_versions
 from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
-from lirs_validation.metrics.failure import describe_failure, window_errors
+from lirs_validation.metrics.failure import compare_alarms, window_errors
 from lirs_validation.metrics.map import MapScores, map_scores, observed_support
 from lirs_validation.metrics.trajectory import (
     StartAlignment,
@@ -174,11 +174,13 @@ def evaluate_trajectory(log: DriveLog, simulation: Simulation) -> dict[str, Any]
 def evaluate_failure(
     log: DriveLog, truth: Trajectory, online: Trajectory, odometry: Trajectory, *, lost: bool
 ) -> dict[str, Any]:
-    """Compare when the path fails with when the mapper, and the watch on its poses, reported it."""
+    """Compare the path's failing poses with the reports of the mapper and of the watch."""
     error, reckoned = window_errors(truth.xy, online.xy), window_errors(truth.xy, odometry.xy)
     failing = error > LIMITS.most_error(reckoned)
+    onset = float(log.stamps[failing.argmax()]) if lost and failing.any() else None
     alarms = {"mapper": np.array(log.lost), "watch": np.array(log.alarms)}
-    return describe_failure(log.stamps, failing, alarms, lost=lost)
+    found = {k: asdict(compare_alarms(log.stamps, failing, alarm, onset)) for k, alarm in alarms.items()}
+    return {"onset": onset} | found
 
 
 def evaluate_rtf(log: DriveLog, simulation: Simulation, *, replayed: bool = True) -> dict[str, Any]:

@@ -25,11 +25,10 @@ from lirs_validation.metrics.elevation import ELEVATION, write_elevation
 from lirs_validation.processes import CostMeter, compile_timer, load_average
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.verdict import Verdict
-from lirs_wct import BuildOptions, ConfigError, Pose2, SimulationError, World
+from lirs_wct import BuildOptions, ConfigError, Pose2, Progress, SimulationError, World, no_progress
 from lirs_wct.files import atomic_folder, check_writable
 from lirs_wct.formats import drive_files, map_server
 from lirs_wct.option import check_names
-from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import MAPPERS, warm_up as warm_up_mapper
 
 _WARM: set[str] = set()

@@ -24,10 +24,9 @@ from lirs_validation.metrics.world_geometry import (
     measured_facts,
     unresolved_robots,
 )
-from lirs_wct import BuildOptions, SourceError, World, build_world
+from lirs_wct import BuildOptions, Progress, SourceError, World, build_world, no_progress
 from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_package
 from lirs_wct.formats import BAGS, CLOUDS, LOGS, MAPS, MESHES, ZSTD, map_server
-from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.build import TEXTURES, coarser, preview_world
 
 MAX_STEM_CHARACTERS = 80

@@ -35,12 +35,13 @@ from lirs_wct import (
     OccupancyGrid,
     Pose2,
     Pose3,
+    Progress,
     SourceError,
     WctError,
     World,
+    no_progress,
 )
 from lirs_wct.formats import carmen_log, drive_files, map_server
-from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
 
 LOG_ODDS = np.array((np.nan, 5.0, -5.0), np.float32)

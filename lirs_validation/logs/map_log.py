@@ -54,8 +54,10 @@ from lirs_wct import (
     OccupancyGrid,
     PointCloud,
     Pose3,
+    Progress,
     SourceError,
     Trajectory,
+    no_progress,
     unknown_name,
 )
 from lirs_wct.files import atomic_folder, atomic_write, check_writable
@@ -65,7 +67,6 @@ from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.rosbag.topics import ANY
 from lirs_wct.option import check_names, command_line
-from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.source import SourceKind, find_source, is_bag
 from slam_baselines.front_end import KnownPoseMapper
@@ -298,7 +299,7 @@ def replay(
     readings: Sequence[Imu | None],
     progress: Progress,
 ) -> tuple[LostRule, Watch, list[LaserScan]]:
-    """Replay a log; return losses of the place, the watch, and horizontal beams of point clouds."""
+    """Replay a log; return losses of the place, the watch, and horizontal beams of clouds."""
     tracking, watch, level, points, before = LostRule(), Watch(), list[LaserScan](), 0, -np.inf
     scans: Iterable[LaserScan | PointCloud] = log.scans if log.clouds is None else log.clouds
     for k, (scan, odometry, imu) in enumerate(zip(scans, log.odometry, readings, strict=True)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,14 +14,13 @@ LENGTH = 5.0
 """Path over which a failure is looked for, meters."""
 SOON = 5.0
 """Seconds around a failure in which an alarm belongs to it."""
-HOUR = 3600.0
 
 
 def window_errors(true: FloatArray, estimate: FloatArray, length: float = LENGTH) -> FloatArray:
-    """Return (n,) the ATE of each pose's last `length` meters, meters; NaN over the first meter.
+    """Return (n,) the ATE over each pose's last `length` meters, meters.
 
-    Both paths are (n, 2 or more), x and y first. As complex numbers about their means, the ATE after rigid
-    alignment is sqrt(mean |p|² + mean |q|² - 2 |mean conj(p) q|) (Umeyama, PAMI 1991).
+    NaN over the first meter. Both paths are (n, 2 or more), x and y first. With p and q centered as complex
+    numbers, it is sqrt(mean |p|² + mean |q|² - 2 |mean conj(p) q|) (Umeyama, PAMI 1991).
     """
     p, q = (path[:, 0] + 1j * path[:, 1] for path in (estimate, true))
     p, q = p - p.mean(), q - q.mean()  # small numbers are squared more exactly
@@ -68,7 +67,9 @@ def compare_alarms(stamps: FloatArray, failing: BoolArray, alarm: BoolArray, ons
         alarm: (n,) whether there was an alarm.
         onset: Stamp of the first failing pose of a path that is lost; None without a failure.
     """
-    near = _near(stamps, failing)
+    at = np.concatenate(([-np.inf], stamps[failing], [np.inf]))
+    after = np.searchsorted(at, stamps)
+    near = np.minimum(at[after] - stamps, stamps - at[after - 1]) <= SOON
     begun = alarm & ~np.append(False, alarm[:-1])
     false, healthy = int((begun & ~near).sum()), float((np.diff(stamps) * ~near[1:]).sum())
     delay = None
@@ -79,25 +80,5 @@ def compare_alarms(stamps: FloatArray, failing: BoolArray, alarm: BoolArray, ons
         delay=delay,
         false=false,
         healthy=healthy,
-        false_per_hour=HOUR * false / healthy if healthy >= SOON else None,
+        false_per_hour=3600 * false / healthy if healthy >= SOON else None,
     )
-
-
-def _near(stamps: FloatArray, failing: BoolArray) -> BoolArray:
-    """Return (n,) whether each stamp is within `SOON` of a failing pose."""
-    at = np.append(np.append(-np.inf, stamps[failing]), np.inf)
-    after = np.searchsorted(at, stamps)
-    gap = np.minimum(np.minimum(at[after] - stamps, np.inf), stamps - at[after - 1])
-    return np.asarray(gap <= SOON)
-
-
-def describe_failure(
-    stamps: FloatArray, failing: BoolArray, alarms: dict[str, BoolArray], *, lost: bool
-) -> dict[str, Any]:
-    """Return onset and alarms as a record holds them.
-
-    The onset is None if the whole path is not lost, and if no part of it fails.
-    """
-    onset = float(stamps[failing.argmax()]) if lost and failing.any() else None
-    found = {name: asdict(compare_alarms(stamps, failing, alarm, onset)) for name, alarm in alarms.items()}
-    return {"onset": onset} | found

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from lirs_validation.metrics.trajectory import (
     associated,
@@ -50,8 +49,6 @@ MIN_HITS = 30
 """Hits in view of other passes that a scan needs to be tested."""
 MAX_RESIDUAL = 1.0
 """Largest distance from a hit to the wall of another pass that counts, meters; larger ones count as this."""
-NEIGHBORHOOD, NEIGHBORS, PLACES = 0.5, 5, 4000
-"""Radius in meters, fewest hits in it and number of places of the wall thickness."""
 LEVEL_SHARE, MAX_HEIGHT = 0.95, 0.3
 """Share of the scans that must be level, and most height of their hits above or below the laser, meters."""
 
@@ -215,14 +212,12 @@ class ScanConsistency:
         revisit_residual: Mean distance from hits to walls that another pass saw, meters; None = no revisits.
         pass_residual: Mean distance between scans of one pass, meters; None = too few hits.
         revisited: Share of the scans that another pass can test.
-        wall_thickness: Median deviation of hits across walls, meters; None = too few hits.
         longest_gap: Longest way between two scans, meters.
     """
 
     revisit_residual: float | None
     pass_residual: float | None
     revisited: float
-    wall_thickness: float | None
     longest_gap: float
 
 
@@ -244,7 +239,6 @@ def scan_consistency(
         revisit_residual=_mean(total, compared),
         pass_residual=_mean(total_within, compared_within),
         revisited=float((compared >= MIN_HITS).mean()),
-        wall_thickness=_wall_thickness(placed.points()),
         longest_gap=float(np.diff(placed.driven).max()),
     )
 
@@ -252,22 +246,6 @@ def scan_consistency(
 def _mean(total: FloatArray, count: IntArray) -> float | None:
     """Return the mean over all counted hits; None of fewer than one scan needs."""
     return float(total.sum() / count.sum()) if count.sum() >= MIN_HITS else None
-
-
-def _wall_thickness(points: FloatArray) -> float | None:
-    """Return the median deviation of points (n, 2) across their walls, meters."""
-    chosen = points[:: max(1, len(points) // PLACES)]
-    found: Any = cKDTree(points).query_ball_point(chosen, NEIGHBORHOOD) if len(points) else []
-    near = [ids for ids in found if len(ids) >= NEIGHBORS]
-    if not near:
-        return None
-    counts = np.array([len(ids) for ids in near])
-    first, ends = np.cumsum(counts) - counts, points[np.concatenate(near)]
-    centered = ends - np.repeat(np.add.reduceat(ends, first) / counts[:, None], counts, axis=0)
-    x, y = centered.T
-    xx, yy, xy = (np.add.reduceat(product, first) / (counts - 1) for product in (x * x, y * y, x * y))
-    across = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)  # the smaller eigenvalue of each covariance
-    return math.sqrt(max(0.0, float(np.median(across))))
 
 
 @dataclass(frozen=True)
@@ -285,15 +263,6 @@ class _PlacedScans:
     angles: FloatArray
     sensors: FloatArray
     driven: FloatArray
-
-    def points(self) -> FloatArray:
-        """Return (m, 2) hits of the tested beams up to `MAX_RANGE` in the map, meters."""
-        beams = np.arange(0, self.ranges.shape[1], max(1, self.ranges.shape[1] // HITS))
-        ranges = self.ranges[:, beams]
-        bearings = self.sensors[:, 2:] + self.angles[:, :1] + beams * self.angles[:, 1:]
-        directions = np.stack((np.cos(bearings), np.sin(bearings)), axis=-1)
-        ends: FloatArray = self.sensors[:, None, :2] + ranges[..., None] * directions
-        return ends[ranges <= MAX_RANGE]
 
 
 def _place_scans(

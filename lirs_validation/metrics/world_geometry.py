@@ -1,4 +1,4 @@
-"""World geometry before any run: errors of meshes, walls in sight of a lidar, facts in words."""
+"""World geometry before any run: errors of meshes, walls in sight, facts in words."""
 
 from __future__ import annotations
 

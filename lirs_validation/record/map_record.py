@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -41,7 +41,7 @@ class MapRecord:
             on the poses gave an alarm (alarms, seconds since the first scan).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
         accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.
-        quality: figures without truth: revisit_residual, pass_residual, wall_thickness, longest_gap (meters)
+        quality: figures without truth: revisit_residual, pass_residual, longest_gap (meters)
             and revisited (share); absent of scans that are not level. `second`: another mapper, its command,
             the difference to its path and its revisit_residual (meters); null where not compared.
         odometry: accuracy of the raw odometry alone; empty where the log has none.
@@ -137,10 +137,9 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("known", f"{grid['known_area']:.0f} m2"),
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
         ("scans while lost", f"{mapper['lost']}"),
-        ("alarms of the watch", _alarms(record.trajectory["alarms"])),
+        ("alarms of the watch", f"{len(record.trajectory['alarms'])}"),
         ("walls seen again differ by", _meters(quality.get("revisit_residual"))),
         ("... within one pass by", _meters(quality.get("pass_residual"))),
-        ("wall thickness", _meters(quality.get("wall_thickness"))),
         (f"path differs from {second.get('mapper')}'s by", _meters(second.get("difference"))),
         ("scans with a pose", f"{100 * record.trajectory['scan_coverage']:.1f} %"),
         ("ms a scan (p50, p95, max)", ", ".join(f"{mapper[f'ms_{p}']:.2f}" for p in ("p50", "p95", "max"))),
@@ -148,11 +147,6 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("memory of the maps", f"{mapper['memory'] / 1e6:.0f} MB"),
     ]
     return [(name, text) for name, text in rows if text is not None] + _accuracy_lines(record)
-
-
-def _alarms(times: Sequence[float]) -> str:
-    """Return how many alarms there were, and when the first began."""
-    return f"{len(times)}, the first after {times[0]:.1f} s" if times else "0"
 
 
 def _meters(value: float | None) -> str | None:

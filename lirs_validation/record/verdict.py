@@ -93,7 +93,7 @@ class VerdictLimits:
     elevation_seen: float = 0.8
 
     def most_error(self, odometry: Any) -> Any:
-        """Return the largest error of a method that does not lose its way, of one or (n,) odometry errors."""
+        """Return the largest error without losing the way, of one or (n,) odometry errors."""
         return self.times_odometry * odometry + self.over_odometry
 
 
@@ -391,7 +391,7 @@ def _path_sentence(figures: VerdictFigures) -> str:
 
 
 def _report_sentence(entry: Entry, *, lost: bool) -> str:
-    """Return whether the method reported that it was lost, and how often it did without being lost."""
+    """Return whether the method reported its loss, and how often it was wrong."""
     failure: Entry = value_at(entry, "trajectory.failure") or {}
     clauses, false = list[str](), value_at(failure, "mapper.false")
     if lost and failure.get("onset") is not None:

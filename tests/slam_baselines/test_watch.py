@@ -55,11 +55,13 @@ def test_a_smooth_path_gives_no_alarm(seed: int, noise: float) -> None:
 
 @given(SEEDS, st.floats(0.5, 2.0), st.floats(0.0, 2 * math.pi), st.floats(-0.5, 0.5))
 @settings(max_examples=10, deadline=None)
-def test_a_jump_gives_an_alarm_within_a_second(seed: int, length: float, bearing: float, turn: float) -> None:
+def test_a_jump_gives_an_alarm_within_two_seconds(
+    seed: int, length: float, bearing: float, turn: float
+) -> None:
     at = 300
     T = Pose2(length * math.cos(bearing), length * math.sin(bearing), turn)
     watch, _ = watched(jumped(smooth(seed), at, T))
-    assert 0 <= watch.alarms[0] - at / RATE < 1.0
+    assert 0 <= watch.alarms[0] - at / RATE < 2.0
 
 
 def test_the_error_of_a_jump_is_its_ate_over_the_last_meters() -> None:
@@ -103,9 +105,7 @@ def test_a_robot_that_stands_for_long_does_not_fill_the_window() -> None:
     assert np.isfinite(errors[200:]).all()
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"error": 0.0}, {"length": math.inf}, {"clear_share": 1.1}, {"slip": -0.1}]
-)
+@pytest.mark.parametrize("wrong", [{"error": 0.0}, {"error": math.inf}, {"slip": -0.1}])
 def test_an_illegal_value_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(wrong))):
         WatchConfig(**wrong)

@@ -38,10 +38,19 @@ from lirs_validation.metrics.trajectory import ErrorSpread
 from lirs_validation.record.metric_catalog import NOTHING
 from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.engines import Failure, Job, WorkerPool
-from lirs_wct import FloatArray, IntArray, LaserScan, Pose2, SourceError, Trajectory, unknown_name
+from lirs_wct import (
+    FloatArray,
+    IntArray,
+    LaserScan,
+    Pose2,
+    Progress,
+    SourceError,
+    Trajectory,
+    no_progress,
+    unknown_name,
+)
 from lirs_wct.drawing.canvas import BLUE, GRAY, VERMILLION, Drawing, new_figure, plain_axes, title
 from lirs_wct.formats import drive_files
-from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import MAPPERS
 
 OWN: dict[str, Any] = {"mapper_python": None, "parameters": "", "resolution": None}

@@ -41,10 +41,19 @@ from lirs_validation.logs.read_log import read_truth, truth_in_time
 from lirs_validation.record.metric_catalog import NOTHING
 from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
 from lirs_validation.report.table import ReportTable
-from lirs_wct import BoolArray, FloatArray, IntArray, LaserScan, Pose2, SourceError, Trajectory
+from lirs_wct import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    LaserScan,
+    Pose2,
+    Progress,
+    SourceError,
+    Trajectory,
+    no_progress,
+)
 from lirs_wct.drawing.canvas import BLUE, GRAY, VERMILLION, Drawing, new_figure, plain_axes, title
 from lirs_wct.files import atomic_folder, check_writable, write_json
-from lirs_wct.progress import Progress, no_progress
 
 LEAST_BLOCKS = 4
 """Fewest blocks of a log."""
