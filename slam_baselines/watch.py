@@ -72,7 +72,8 @@ class Watch:
 
     def __init__(self, config: WatchConfig | None = None) -> None:
         self.error, self.alarm, self.alarms = math.nan, False, list[float]()
-        self._config = config or WatchConfig()
+        config = config or WatchConfig()
+        self._limit, self._slip = config.error, config.slip
         self._poses, self._stamps = np.empty((STEPS + 1, 3)), np.empty(STEPS + 1)
         self._window, self._state = np.empty((CAPACITY, COLUMNS)), np.zeros(STATE)
         self._received, self._exceeded = 0, -math.inf
@@ -87,14 +88,12 @@ class Watch:
         self._poses[:-1], self._stamps[:-1] = self._poses[1:], self._stamps[1:]
         self._poses[-1], self._stamps[-1] = T_map_base.as_array(), stamp
         self._received += 1
-        c = self._config
         if self._received > STEPS:
-            error: float = _advance(self._poses, self._stamps, self._window, self._state, c.slip)
-            self.error = error
-        if self.error > c.error:
+            self.error = float(_advance(self._poses, self._stamps, self._window, self._state, self._slip))
+        if self.error > self._limit:
             self.alarms += [] if self.alarm else [stamp]
             self.alarm, self._exceeded = True, stamp
-        elif not self.error > CLEAR * c.error and stamp - self._exceeded > HOLD:
+        elif not self.error > CLEAR * self._limit and stamp - self._exceeded > HOLD:
             self.alarm = False
         return self.alarm
 

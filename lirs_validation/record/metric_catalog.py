@@ -52,6 +52,7 @@ class Metric:
         tested: whether comparisons test it; the odometry's error belongs to the drive, not to the mapper.
         baseline: key of the comparison value in the report's distributions, in the same unit of the record.
         detail: whether the report's tables leave it out; comparisons take it by its key.
+        rare: whether 0 counts as no value.
     """
 
     key: str
@@ -66,6 +67,7 @@ class Metric:
     tested: bool = True
     baseline: str = ""
     detail: bool = False
+    rare: bool = False
 
     @property
     def heading(self) -> str:
@@ -75,7 +77,7 @@ class Metric:
     def of(self, entry: Entry) -> float | None:
         """Return the value in this unit; None where the record has none."""
         value = value_at(entry, self.key)
-        return None if value is None else float(value) * self.scale
+        return None if value is None or (self.rare and not value) else float(value) * self.scale
 
     def comparable(self, entry: Entry) -> float | None:
         """Return the comparable value in this unit.
@@ -95,13 +97,14 @@ class Metric:
         return f"{self.formatted(value * self.scale)} {self.unit}".rstrip()
 
 
-def _alarm_metrics(source: str, who: str) -> tuple[Metric, ...]:
+def _alarm_metrics(source: str, who: str, *shown: Selection) -> tuple[Metric, ...]:
     """Return the metrics of a source of alarms."""
-    key = f"trajectory.failure.{source}"
+    key, name = f"trajectory.failure.{source}", f"false alarms, {who}"
     return (
         Metric(f"{key}.noticed", f"losses noticed, {who}", "trajectory", "%", 0, PERCENT, "more"),
-        Metric(f"{key}.delay", f"delay, {who}", "trajectory", "s", 1, better="less"),
-        Metric(f"{key}.false_per_hour", f"false alarms, {who}", "trajectory", "per h", 1, better="less"),
+        Metric(f"{key}.delay", f"delay, {who}", "trajectory", "s", 1, 1.0, "less", shown),
+        Metric(f"{key}.false", name, "trajectory", "", 0, 1.0, "less", shown, rare=True),
+        Metric(f"{key}.false_per_hour", name, "trajectory", "per h", 1, better="less", detail=True),
     )
 
 
@@ -140,7 +143,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("trajectory.rotation_rmse_3d", "attitude error", "trajectory", "deg", 3, DEGREES, "less",
            detail=True),
     Metric("trajectory.ate_rmse_online", "ATE online", "trajectory", "m", better="less", detail=True),
-    *_alarm_metrics("mapper", "own"),
+    *_alarm_metrics("mapper", "own", "runs", "picture"),
     *_alarm_metrics("watch", "watch"),
     Metric("trajectory.inside_95", "errors in 95 % ellipse", "trajectory", "%", 0, PERCENT, tested=False),
     Metric("trajectory.yaw_rmse", "yaw error", "trajectory", "deg", 3, DEGREES, "less", detail=True),

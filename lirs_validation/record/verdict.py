@@ -33,8 +33,6 @@ MIN_COVERAGE = 0.95
 AGREEING, BETTER = 0.25, 0.85
 """Largest revisit residual of a path that is probably right, meters, and share of it below which another
 path is the better one (docs/measured.md)."""
-DISAGREEING = 0.4
-"""Revisit residual above which a path is lost, meters (docs/measured.md)."""
 MAX_GAP = 10.0
 """Longest way without a scan over which the passes before and after it have one frame, meters."""
 DRIVE_ENDED = ("tipped", "stuck", "off world")
@@ -212,9 +210,9 @@ def incompleteness(coverage: float) -> str | None:
 
 def disagreement(residual: float | None) -> str | None:
     """Return why a path's revisit residual is too large; None if acceptable or not known."""
-    if residual is None or residual <= DISAGREEING:
+    if residual is None or residual <= AGREEING:
         return None
-    return f"walls seen again differ by {residual:.2f} m, at most {DISAGREEING:g} m may"
+    return f"its walls agree only to {residual:.2f} m, at most {AGREEING:g} m may lie between them"
 
 
 @dataclass(frozen=True)
@@ -303,7 +301,7 @@ def conclude_log(entry: Entry) -> tuple[Conclusion, str]:
             "it passes no place twice" if quality.get("pass_residual") else "it has no level planar scans"
         )
         clauses.append(nothing if own is None else f"{gap:.0f} m of its path are without a scan")
-    if own is not None:
+    if own is not None and not (fault and fault == disagreement(own)):
         clauses.append(f"its walls agree {_up_to(own, AGREEING)}")
     if other is not None:
         agreed = _up_to(other, min((own or 1.0) / BETTER, AGREEING))

@@ -25,6 +25,7 @@ WITH_RESULTS = (
     "commands.csv",
 )
 """Files of a run that drove."""
+ALARMS = {"noticed": True, "delay": 0.5, "false": 2, "healthy": 60.0, "false_per_hour": 120.0}
 
 
 def record(
@@ -65,6 +66,7 @@ def record(
             "final_drift": ate, "final_yaw_drift": 0.001, "length": 24.0, "poses": 700,
             "scan_coverage": 1.0,
             "ate_rmse_online": ate, "inside_95": 0.97, "odometry_ate_rmse": 0.2,
+            "failure": {"onset": 12.0, "mapper": dict(ALARMS), "watch": dict(ALARMS)},
         },
         map={
             "f1": f1, "f1_aligned": f1, "start_shift": 0.01, "start_turn": 0.002, "precision": f1,

@@ -33,7 +33,9 @@ COUNTS = {
     "trajectory.robot_lengths",
     "rtf.simulated_seconds", "rtf.timestep", "rtf.wall_seconds", "trajectory.poses",
     "trajectory.rpe_metre.pairs", "trajectory.rpe_second.pairs", "trajectory.relations.relations",
-    "map.occupied_cells", "collisions.samples",
+    "map.occupied_cells", "collisions.samples", "rtf.concurrent", "rtf.extrapolated",
+    "trajectory.failure.onset",
+    "trajectory.failure.mapper.healthy", "trajectory.failure.watch.healthy",
 }  # fmt: skip
 """Numbers of a record that are no metrics: over how much the metrics were taken."""
 
@@ -47,7 +49,7 @@ def numbers(node: dict[str, Any], place: str) -> Iterator[str]:
     for name, held in node.get("properties", {}).items():
         yield from numbers(held, f"{place}.{name}")
     types = node.get("type")
-    if {"number", "integer"} & set(types if isinstance(types, list) else [types]):
+    if {"number", "integer", "boolean"} & set(types if isinstance(types, list) else [types]):
         yield place
 
 

@@ -64,10 +64,10 @@ def test_a_trajectory_needs_a_pose_for_95_percent_of_the_scans(coverage: float, 
         assert "at least 95 % are required" in lacking
 
 
-def test_walls_seen_again_may_differ_by_40_centimeters() -> None:
+def test_walls_seen_again_may_differ_by_25_centimeters() -> None:
     assert disagreement(None) is None
-    assert disagreement(0.4) is None
-    assert "differ by 0.41 m" in (disagreement(0.41) or "")
+    assert disagreement(0.25) is None
+    assert "agree only to 0.26 m" in (disagreement(0.26) or "")
 
 
 @pytest.mark.parametrize(
