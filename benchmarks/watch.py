@@ -7,9 +7,9 @@
 `drive` adds drives through the worlds of `verdict_study.py` to `watch_drives.csv`, and goes on where the last
 call ended. A planar method maps the scans of one drive that the robot makes by its true pose. `logs` adds the
 logs of simulated drives: the paths that the C++ originals made of them, and those of our methods with fewer,
-shorter and noisier scans. `evaluate` prints two tables: of the methods' own reports that they are lost, and
-of the watch. Its limit is that of the other families of worlds: the one with the most failures noticed among
-those with at most one false alarm in 30 minutes.
+shorter and noisier scans. `evaluate` prints the reports of the methods themselves and the alarms of the watch
+by family of worlds, by method and by the limit of the watch. The last row has a limit for each family, set on
+the others: the one with the most failures noticed among those with at most one false alarm in 30 minutes.
 
 A failure is a drive that loses its way by the verdict's limits; its onset is the first time at which the ATE
 over the last 5 m exceeds them. It is noticed within 5 s of its onset. An alarm is false if it begins more
@@ -195,27 +195,40 @@ def select(path: Trajectory, chosen: IntArray) -> Trajectory:
 
 
 def evaluate(_: argparse.Namespace) -> None:
-    """Print how often failures were noticed, and alarms false, by family and by method."""
-    rows = stored()
+    """Print how often failures were noticed, and alarms false, by family, by method and by limit."""
+    rows, default = stored(), str(WatchConfig().error)
     families = list(dict.fromkeys(key[0] for key in rows))
-    chosen = {family: best_limit(rows, family) for family in families}
     for place, name in ((0, "family"), (2, "method")):
+        groups = [*dict.fromkeys(key[place] for key in rows), "all"]
         lines = []
-        for group in (*dict.fromkeys(key[place] for key in rows), "all"):
-            mine = {key: row for key, row in rows.items() if group in ("all", key[place])}
-            line: dict[str, Any] = {name: group, "drives": len(mine)}
-            line |= {"failures": sum(bool(row[0]) for row in mine.values())}
-            line |= {"hours": sum(float(row[1]) for row in mine.values()) / 3600}
-            line |= {"limit, m": chosen.get(group)}
-            for label, source in (("own", dict.fromkeys(families, "own")), ("watch", chosen)):
-                noticed, false, delay = counts((source[key[0]], row) for key, row in mine.items())
-                line[f"{label}: noticed"] = f"{noticed} ({100 * noticed / max(1, line['failures']):.0f} %)"
-                line |= {
-                    f"{label}: delay, s": delay,
-                    f"{label}: false in 30 min": false / (2 * line["hours"]),
-                }
-            lines.append(line)
-        print_rows(lines, f"By {name}", width=150)
+        for group in groups:
+            mine = [row for key, row in rows.items() if group in ("all", key[place])]
+            own, watch = (figures((source, row) for row in mine) for source in ("own", default))
+            line = {name: group, "drives": len(mine), "hours": hours(mine)} | own
+            lines.append(line | {f"watch: {key}": value for key, value in watch.items() if key != "failures"})
+        print_rows(lines, f"By {name}; the watch with its default of {default} m", width=150)
+    lines = [{"limit, m": limit} | figures((limit, row) for row in rows.values()) for limit in SOURCES[1:]]
+    others = {family: best_limit(rows, family) for family in families}
+    lines.append({"limit, m": "of the others"} | figures((others[key[0]], row) for key, row in rows.items()))
+    print_rows(lines, "By limit of the watch", width=110)
+
+
+def figures(rows: Iterable[tuple[str, Sequence[str]]]) -> dict[str, Any]:
+    """Return the figures of a source of alarms for each row."""
+    pairs = list(rows)
+    noticed, false, delay = counts(pairs)
+    failures = sum(bool(row[0]) for _, row in pairs)
+    return {
+        "failures": failures,
+        "noticed": f"{noticed} ({100 * noticed / max(1, failures):.0f} %)",
+        "delay, s": delay,
+        "false in 30 min": false / (2 * hours([row for _, row in pairs])),
+    }
+
+
+def hours(rows: Iterable[Sequence[str]]) -> float:
+    """Return the healthy hours of some drives."""
+    return sum(float(row[1]) for row in rows) / 3600
 
 
 def counts(rows: Iterable[tuple[str, Sequence[str]]]) -> tuple[int, int, float | None]:
@@ -232,9 +245,12 @@ def counts(rows: Iterable[tuple[str, Sequence[str]]]) -> tuple[int, int, float |
 def best_limit(rows: dict[Key, list[str]], family: str) -> str:
     """Return the limit that notices most among those with few false alarms in the other families."""
     others = [row for key, row in rows.items() if key[0] != family]
-    hours = sum(float(row[1]) for row in others) / 3600
     found = {source: counts((source, row) for row in others) for source in SOURCES[1:]}
-    fit = {source: noticed for source, (noticed, false, _) in found.items() if false <= MOST_FALSE * hours}
+    fit = {
+        source: noticed
+        for source, (noticed, false, _) in found.items()
+        if false <= MOST_FALSE * hours(others)
+    }
     return max(fit, key=lambda source: (fit[source], float(source))) if fit else SOURCES[-1]
 
 

@@ -28,7 +28,7 @@ ACCELERATION = 10.0
 """Largest plausible change of the velocity within a step, m/s²; of the rate of turn, 20 rad/s²."""
 LENGTH, MIN_LENGTH = 5.0, 1.0
 """Path over which the error is estimated, and from which on there is an estimate, meters."""
-CLEAR, HOLD = 0.7, 2.0
+CLEAR, HOLD = 0.5, 5.0
 """Share of the limit below which an alarm ends, and its shortest time, seconds."""
 SPACING, CAPACITY = 0.01, 2048
 """Meters between two stored poses, and number of stored poses."""
@@ -52,7 +52,7 @@ class WatchConfig(Checked):
     """
 
     error: float = limited(0.11, "(0, inf)", "m")
-    slip: float = limited(0.03, "[0, inf]", "m")
+    slip: float = limited(0.05, "[0, inf]", "m")
 
 
 class Watch:
