@@ -99,11 +99,11 @@ class Metric:
 
 def _alarm_metrics(source: str, who: str, *shown: Selection) -> tuple[Metric, ...]:
     """Return the metrics of a source of alarms."""
-    key, name = f"trajectory.failure.{source}", f"false alarms, {who}"
+    key, name, hidden = f"trajectory.failure.{source}", f"false alarms, {who}", not shown
     return (
-        Metric(f"{key}.noticed", f"losses noticed, {who}", "trajectory", "%", 0, PERCENT, "more"),
-        Metric(f"{key}.delay", f"delay, {who}", "trajectory", "s", 1, 1.0, "less", shown),
-        Metric(f"{key}.false", name, "trajectory", "", 0, 1.0, "less", shown, rare=True),
+        Metric(f"{key}.noticed", f"losses noticed, {who}", "trajectory", "%", 0, PERCENT, detail=True),
+        Metric(f"{key}.delay", f"delay, {who}", "trajectory", "s", 1, 1.0, "less", shown, detail=hidden),
+        Metric(f"{key}.false", name, "trajectory", "", 0, 1.0, "less", shown, detail=hidden, rare=True),
         Metric(f"{key}.false_per_hour", name, "trajectory", "per h", 1, better="less", detail=True),
     )
 

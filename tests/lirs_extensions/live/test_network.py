@@ -164,7 +164,7 @@ def test_a_zenoh_peer_drives_and_sees_the_tokens():
     assert gid != bytes(16)
     assert any(token.endswith("/NN/%/%/lirs_wct") for token in tokens)
     assert sum("/MP/" in token for token in tokens) == 8
-    assert sum("/MS/" in token for token in tokens) == 6
+    assert sum("/MS/" in token for token in tokens) == 7
 
 
 def test_a_second_zenoh_node_is_a_client_of_the_first():

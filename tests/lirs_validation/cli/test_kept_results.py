@@ -21,7 +21,7 @@ COMMANDS = {
     "falsify": ("falsify", "--mapper", "half_way:HalfWay", "--seconds", "16", *DRIVEN[2:]),
     "falsify without a run": ("falsify", "--mapper", "half_way:Raises", *DRIVEN),
     "tune": ("tune", "simple", *SMALL, "--robot", "jackal", "--seconds", "9", "--drives", "2"),
-    "twin": ("twin", "short.clf", "--mapper", "hector", "--replay", "none", "--draws", "1"),
+    "twin": ("twin", "short.clf", "--mapper", "hector", "--replay", "none", "--draws", "3"),
     "live": ("live", "simple", "--lockstep", "--option", "limit=0.001", "--seconds", "0.4"),
 }
 
