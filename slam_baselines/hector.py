@@ -168,7 +168,7 @@ class HectorMapper(PlanarMapper):
         """Build the map again from keyframes; return them with their new poses.
 
         Forwards, since the odometry's calibration makes dead reckoning from the start as good as the walls.
-        If too few keyframes fit, no walls are known yet: keyframes and map stay unchanged.
+        If too few fit, more on a floor where every hit is a wall, keyframes and map stay unchanged.
         """
         builder, before_refinement = self._builder, self._builder.restart()
         estimate, refined = PoseEstimate(keyframes[0].pose, np.zeros((3, 3))), list[HectorKeyframe]()
@@ -186,7 +186,7 @@ class HectorMapper(PlanarMapper):
                 fits += match is not None and match.score >= self.config.localizable_score
             builder.enter_again(now.scan, estimate.pose, now.height, slopes)
             refined.append(replace(now, pose=estimate.pose, min_slopes=slopes))
-        if builder.flat or fits >= REFINED_SHARE * (len(keyframes) - 1):
+        if fits >= (self.config.localizable_share if builder.flat else REFINED_SHARE) * (len(keyframes) - 1):
             return refined
         builder.pyramid = before_refinement
         return keyframes

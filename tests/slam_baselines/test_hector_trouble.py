@@ -197,3 +197,14 @@ def test_nothing_in_a_scan_breaks_it() -> None:
             assert np.isfinite(pose.as_array()).all()
     assert mapper.map().known.any()
     assert len(mapper.trajectory()) == 6
+
+
+def test_scans_that_fit_nowhere_on_a_floor_leave_the_start_to_the_odometry() -> None:
+    """As of slopes far away, which a floor hides; the refined start once took every match."""
+    mapper, rng, level = HectorMapper(), np.random.default_rng(0), Imu()
+    room, moved = room_scan(Pose2(), 0.0, rng), [Pose2(0.05 * k) for k in range(120)]
+    for k, pose in enumerate(moved):
+        anywhere = rng.uniform(2.0, 6.0, len(room.ranges)).astype(np.float32)
+        mapper.update(replace(room, ranges=anywhere, stamp=0.1 * k), pose, level)
+    assert mapper.stats.counts["second_looks"] == 1
+    np.testing.assert_allclose(mapper.trajectory().xy, [(pose.x, pose.y) for pose in moved], atol=1e-9)
