@@ -143,7 +143,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("trajectory.rotation_rmse_3d", "attitude error", "trajectory", "deg", 3, DEGREES, "less",
            detail=True),
     Metric("trajectory.ate_rmse_online", "ATE online", "trajectory", "m", better="less", detail=True),
-    *_alarm_metrics("mapper", "own", "runs", "picture"),
+    *_alarm_metrics("mapper", "own", "runs"),
     *_alarm_metrics("watch", "watch"),
     Metric("trajectory.inside_95", "errors in 95 % ellipse", "trajectory", "%", 0, PERCENT, tested=False),
     Metric("trajectory.yaw_rmse", "yaw error", "trajectory", "deg", 3, DEGREES, "less", detail=True),
