@@ -42,7 +42,7 @@ from lirs_wct.files import atomic_write
 from lirs_wct.formats.drive_files import read_imu
 from lirs_wct.option import read_names, read_numbers
 from slam_baselines.mapper import MAPPERS, make_mapper
-from slam_baselines.watch import Watch, WatchConfig
+from slam_baselines.watch import LIMIT, Watch
 
 TABLE = Path(__file__).with_name("watch_drives.csv")
 PLANAR, CLOUDS = tuple(MAPPERS), ("kiss-icp", "small-gicp")
@@ -78,17 +78,18 @@ class Online(NamedTuple):
         failing, stamps = errors > LIMITS.most_error(odometry), true.stamps
         fails = error > LIMITS.most_error(most) and failing.any()
         onset = float(stamps[failing.argmax()]) if fails else None
-        sources = (self.lost, *(watched(self.online, limit) for limit in TRIED))
+        sources = (self.lost, *(watched(self.online, self.odometry, limit) for limit in TRIED))
         found = [compare_alarms(stamps, failing, alarm, onset) for alarm in sources]
         cells = [f"{'' if each.delay is None else f'{each.delay:.1f}'}/{each.false}" for each in found]
         begin = "" if onset is None else f"{onset - stamps[0]:.1f}"
         return [begin, f"{found[0].healthy:.0f}", *cells]
 
 
-def watched(path: Trajectory, limit: float) -> BoolArray:
+def watched(path: Trajectory, odometry: Trajectory, limit: float) -> BoolArray:
     """Return (n,) whether the watch gives an alarm at each pose."""
-    watch = Watch(WatchConfig(error=limit))
-    return np.array([watch.update(path.pose2(k), float(stamp)) for k, stamp in enumerate(path.stamps)])
+    watch = Watch(limit)
+    stamps = path.stamps.tolist()
+    return np.array([watch.update(path.pose2(k), t, odometry.pose2(k)) for k, t in enumerate(stamps)])
 
 
 def drive(options: argparse.Namespace) -> None:
@@ -196,7 +197,7 @@ def select(path: Trajectory, chosen: IntArray) -> Trajectory:
 
 def evaluate(_: argparse.Namespace) -> None:
     """Print how often failures were noticed, and alarms false, by family, by method and by limit."""
-    rows, default = stored(), str(WatchConfig().error)
+    rows, default = stored(), str(LIMIT)
     families = list(dict.fromkeys(key[0] for key in rows))
     for place, name in ((0, "family"), (2, "method")):
         groups = [*dict.fromkeys(key[place] for key in rows), "all"]

@@ -1,58 +1,40 @@
-"""Monitor of large errors of any SLAM method, by its poses alone.
+"""Monitor of large errors of any SLAM method, by its poses and, if there is any, the odometry.
 
-The path of a robot is smooth, and wheels do not move sideways. Steps of the path that leave the velocity
-around them, and sideways motion beyond the slip of turns, are errors. Both become an absolute trajectory
-error (ATE) over the last meters: the one that they would cause if the rest of the path were right.
+The path of a robot is smooth. Steps of the path that leave the velocity around them are errors. They become
+an absolute trajectory error (ATE) over the last meters: the one that they would cause if the rest of the path
+were right. A path that is worse than the odometry is also apart from it, by the triangle inequality.
 
-Limits: a slow error along the path is not seen, nor are errors at fewer than about four poses a second.
+Limits: a slow error is not seen, nor are errors at fewer than about four poses a second.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, njit
-from lirs_wct.errors import Checked, limited
+from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import Pose2
 
 STEPS, MIDDLE = 15, 7
 """Steps whose median velocity the middle one is compared with: the delay is 7 poses."""
-LONG_STEP = 0.25
-"""Seconds of a step from which on its sideways motion does not count: the robot may have turned."""
 ROUNDING = 0.005
 """Difference from the expected step that is no jump, meters and radians."""
-ACCELERATION = 10.0
-"""Largest plausible change of the velocity within a step, m/s²; of the rate of turn, 20 rad/s²."""
+ACCELERATION = 20.0
+"""Largest plausible change of the velocity within a step, m/s²; of the rate of turn, 40 rad/s²."""
 LENGTH, MIN_LENGTH = 5.0, 1.0
 """Path over which the error is estimated, and from which on there is an estimate, meters."""
+LIMIT = 0.11
+"""Estimated error above which an alarm begins, meters."""
 CLEAR, HOLD = 0.5, 5.0
 """Share of the limit below which an alarm ends, and its shortest time, seconds."""
 SPACING, CAPACITY = 0.01, 2048
 """Meters between two stored poses, and number of stored poses."""
-DRIVEN, ESTIMATE, SMOOTH, WHEELED, COLUMNS = 0, 1, 3, 5, 7
-"""Columns of the window: meters driven; x, y of the estimate, of the smooth path, of the wheeled path."""
-FIRST, END, PATHS, STATE = 0, 1, 2, 8
-"""Numbers of its state: first and end row; x, y, yaw of the smooth path and of the wheeled path."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class WatchConfig(Checked):
-    """Conditions of an alarm.
-
-    Attributes:
-        error: Estimated error above which an alarm begins, meters; it ends below `CLEAR` times that.
-        slip: ATE by sideways motion that wheels have in turns and on slopes, meters; inf = the robot can move
-            sideways.
-
-    Raises:
-        ConfigError: a value is not legal.
-    """
-
-    error: float = limited(0.11, "(0, inf)", "m")
-    slip: float = limited(0.05, "[0, inf]", "m")
+DRIVEN, ESTIMATE, SMOOTH, ODOMETRY, COLUMNS = 0, 1, 3, 5, 7
+"""Columns of the window: meters driven; x, y of the estimate, of the smooth path, of the odometry."""
+FIRST, END, PATH, STATE = 0, 1, 2, 5
+"""Numbers of its state: first and end row; x, y, yaw of the smooth path."""
 
 
 class Watch:
@@ -64,32 +46,41 @@ class Watch:
     >>> [round(stamp, 1) for stamp in watch.alarms]
     [5.8]
 
+    Args:
+        limit: Estimated error above which an alarm begins, meters; it ends below `CLEAR` times that.
+
     Attributes:
         error: Estimated ATE over the last meters, meters; NaN before enough is driven.
         alarm: Whether the path is implausible at present.
         alarms: Stamps at which alarms began, seconds.
+
+    Raises:
+        ConfigError: `limit` is not positive.
     """
 
-    def __init__(self, config: WatchConfig | None = None) -> None:
+    def __init__(self, limit: float = LIMIT) -> None:
+        if not limit > 0:
+            raise ConfigError(f"limit: must be above 0 m, got {limit:g}")
         self.error, self.alarm, self.alarms = math.nan, False, list[float]()
-        config = config or WatchConfig()
-        self._limit, self._slip = config.error, config.slip
-        self._poses, self._stamps = np.empty((STEPS + 1, 3)), np.empty(STEPS + 1)
+        self._limit = limit
+        self._poses, self._stamps = np.empty((STEPS + 1, 5)), np.empty(STEPS + 1)
         self._window, self._state = np.empty((CAPACITY, COLUMNS)), np.zeros(STATE)
         self._received, self._exceeded = 0, -math.inf
 
-    def update(self, T_map_base: Pose2, stamp: float) -> bool:
+    def update(self, T_map_base: Pose2, stamp: float, T_odom_base: Pose2 | None = None) -> bool:
         """Take in the method's online pose of a scan; return whether there is an alarm.
 
         Args:
             T_map_base: Pose as the method gave it at the time, not as it was corrected later.
             stamp: Time of the scan, seconds.
+            T_odom_base: Pose by the odometry, which keeps some false alarms away; None without.
         """
         self._poses[:-1], self._stamps[:-1] = self._poses[1:], self._stamps[1:]
-        self._poses[-1], self._stamps[-1] = T_map_base.as_array(), stamp
+        self._poses[-1, :3], self._stamps[-1] = T_map_base.as_array(), stamp
+        self._poses[-1, 3:] = math.nan if T_odom_base is None else (T_odom_base.x, T_odom_base.y)
         self._received += 1
         if self._received > STEPS:
-            self.error = float(_advance(self._poses, self._stamps, self._window, self._state, self._slip))
+            self.error = float(_advance(self._poses, self._stamps, self._window, self._state))
         if self.error > self._limit:
             self.alarms += [] if self.alarm else [stamp]
             self.alarm, self._exceeded = True, stamp
@@ -99,36 +90,32 @@ class Watch:
 
 
 @njit
-def _advance(
-    poses: FloatArray, stamps: FloatArray, window: FloatArray, state: FloatArray, slip: float
-) -> float:
-    """Take in the middle step; return the ATE by jumps or by sideways motion.
+def _advance(poses: FloatArray, stamps: FloatArray, window: FloatArray, state: FloatArray) -> float:
+    """Take in the middle step; return the ATE by jumps, or that to the odometry if it is less.
 
-    The larger one counts, the latter less the slip; NaN where too little is driven. The smooth path makes the
-    expected step where the estimate jumps, and the wheeled one none sideways.
+    The smooth path makes the expected step where the estimate jumps. NaN where too little is driven.
     """
     along, across, turn = _plausible_step(poses, stamps)
-    sideways = across if stamps[MIDDLE + 1] - stamps[MIDDLE] > LONG_STEP else 0.0
-    for path, shift in ((PATHS, across), (PATHS + 3, sideways)):
-        heading = state[path + 2] + turn / 2
-        c, s = math.cos(heading), math.sin(heading)
-        state[path] += c * along - s * shift
-        state[path + 1] += s * along + c * shift
-        state[path + 2] += turn
+    heading = state[PATH + 2] + turn / 2
+    c, s = math.cos(heading), math.sin(heading)
+    state[PATH] += c * along - s * across
+    state[PATH + 1] += s * along + c * across
+    state[PATH + 2] += turn
     _store(window, state, poses[MIDDLE + 1], math.hypot(along, across))
     rows = window[int(state[FIRST]) : int(state[END])]
     if rows[-1, DRIVEN] - rows[0, DRIVEN] < MIN_LENGTH:
         return math.nan
-    error: float = max(_aligned_rms(rows, ESTIMATE, SMOOTH), _aligned_rms(rows, SMOOTH, WHEELED) - slip)
-    return error
+    error: float = _aligned_rms(rows, ESTIMATE, SMOOTH)
+    apart: float = _aligned_rms(rows, ESTIMATE, ODOMETRY)
+    return apart if apart < error else error  # `apart` is NaN without odometry
 
 
 @njit
 def _plausible_step(poses: FloatArray, stamps: FloatArray) -> tuple[float, float, float]:
-    """Return the middle step, along and across its mean heading and its turn.
+    """Return the middle step: along and across its mean heading, and its turn.
 
-    If it jumps, that is, differs from the step by the median velocity by more than an acceleration explains,
-    it is that step.
+    A step is a jump if no acceleration explains how it differs from the median velocity. The step by the
+    median velocity then replaces it.
     """
     times = np.maximum(np.diff(stamps), 1e-3)
     velocities = np.empty((3, STEPS))
@@ -170,8 +157,8 @@ def _store(window: FloatArray, state: FloatArray, pose: FloatArray, step: float)
     row = window[end]
     row[DRIVEN] = driven
     row[ESTIMATE], row[ESTIMATE + 1] = pose[0], pose[1]
-    row[SMOOTH], row[SMOOTH + 1] = state[PATHS], state[PATHS + 1]
-    row[WHEELED], row[WHEELED + 1] = state[PATHS + 3], state[PATHS + 4]
+    row[SMOOTH], row[SMOOTH + 1] = state[PATH], state[PATH + 1]
+    row[ODOMETRY], row[ODOMETRY + 1] = pose[3], pose[4]
     state[FIRST], state[END] = first, end + 1
 
 
@@ -191,4 +178,4 @@ def _aligned_rms(rows: FloatArray, a: int, b: int) -> float:
         squares += ax * ax + ay * ay + bx * bx + by * by
         dot += ax * bx + ay * by
         cross += ax * by - ay * bx
-    return math.sqrt(max(0.0, squares - 2 * math.hypot(dot, cross)) / n)
+    return math.sqrt(np.maximum(0.0, squares - 2 * math.hypot(dot, cross)) / n)  # NaN stays NaN

@@ -266,7 +266,7 @@ class DriveLog:
         self.estimates.append(estimate)
         self.covariances.append(covariance)
         self.lost.append(lost)
-        self.alarms.append(self.watch.update(self.in_plane(estimate), scan.stamp))
+        self.alarms.append(self.watch.update(self.in_plane(estimate), scan.stamp, observation.odometry))
 
     def end(self, status: Status, reason: str) -> None:
         """End the drive."""

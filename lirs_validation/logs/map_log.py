@@ -317,7 +317,7 @@ def replay(
             raise SourceError(f"{config.log}: {error}") from error
         tracking.observe(scan.stamp, estimate.lost)
         pose = estimate.pose
-        watch.update(pose.to_pose2() if isinstance(pose, Pose3) else pose, scan.stamp)
+        watch.update(pose.to_pose2() if isinstance(pose, Pose3) else pose, scan.stamp, odometry)
         progress("map", (k + 1) / len(readings))
     if level and not points:
         raise SourceError(f"{config.log}: none of its {len(level)} point clouds holds a valid point")

@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from lirs_validation.metrics.trajectory import MIN_PATH
 from lirs_wct import BoolArray, FloatArray
+from slam_baselines.watch import LENGTH, MIN_LENGTH
 
-LENGTH = 5.0
-"""Path over which a failure is looked for, meters."""
 SOON = 5.0
 """Seconds around a failure in which an alarm belongs to it."""
 
@@ -35,7 +33,7 @@ def window_errors(true: FloatArray, estimate: FloatArray, length: float = LENGTH
     centered = means(abs(p) ** 2 + abs(q) ** 2) - abs(means(p)) ** 2 - abs(means(q)) ** 2
     together = abs(means(p.conj() * q) - means(p).conj() * means(q))
     errors: FloatArray = np.sqrt(np.maximum(0.0, centered - 2 * together))
-    errors[driven < MIN_PATH] = np.nan
+    errors[driven < MIN_LENGTH] = np.nan
     return errors
 
 
