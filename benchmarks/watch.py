@@ -46,7 +46,7 @@ from slam_baselines.watch import LIMIT, Watch
 
 TABLE = Path(__file__).with_name("watch_drives.csv")
 PLANAR, CLOUDS = tuple(MAPPERS), ("kiss-icp", "small-gicp")
-TRIED = (0.07, 0.08, 0.09, 0.1, 0.11, 0.12, 0.14, 0.17, 0.2)
+TRIED = (0.08, 0.09, 0.1, 0.11, 0.12, 0.13, 0.14, 0.17, 0.2)
 """Limits of the watch that are tried, meters."""
 SOURCES = ("own", *map(str, TRIED))
 """Sources of alarms: the method itself, and the watch by its limit."""

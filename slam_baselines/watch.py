@@ -25,8 +25,10 @@ ACCELERATION = 20.0
 """Largest plausible change of the velocity within a step, m/s²; of the rate of turn, 40 rad/s²."""
 LENGTH, MIN_LENGTH = 5.0, 1.0
 """Path over which the error is estimated, and from which on there is an estimate, meters."""
-LIMIT = 0.11
-"""Estimated error above which an alarm begins, meters."""
+BEGINNING = 2.0
+"""Path over which the odometry counts alone: it has hardly drifted, and jumps are not known yet, meters."""
+LIMIT, AT_START = 0.12, 0.5
+"""Estimated error over `LENGTH` above which an alarm begins, meters; the share of it at the start."""
 CLEAR, HOLD = 0.5, 5.0
 """Share of the limit below which an alarm ends, and its shortest time, seconds."""
 SPACING, CAPACITY = 0.01, 2048
@@ -47,7 +49,8 @@ class Watch:
     [5.8]
 
     Args:
-        limit: Estimated error above which an alarm begins, meters; it ends below `CLEAR` times that.
+        limit: Estimated error over 5 m above which an alarm begins, meters. It grows with the driven distance
+            from half of that; an alarm ends below `CLEAR` times that.
 
     Attributes:
         error: Estimated ATE over the last meters, meters; NaN before enough is driven.
@@ -80,20 +83,27 @@ class Watch:
         self._poses[-1, 3:] = math.nan if T_odom_base is None else (T_odom_base.x, T_odom_base.y)
         self._received += 1
         if self._received > STEPS:
-            self.error = float(_advance(self._poses, self._stamps, self._window, self._state))
-        if self.error > self._limit:
+            self.error, driven = _advance(self._poses, self._stamps, self._window, self._state)
+            self._judge(self._limit * (AT_START + (1 - AT_START) * driven / LENGTH), stamp)
+        return self.alarm
+
+    def _judge(self, limit: float, stamp: float) -> None:
+        """Begin or end an alarm."""
+        if self.error > limit:
             self.alarms += [] if self.alarm else [stamp]
             self.alarm, self._exceeded = True, stamp
-        elif not self.error > CLEAR * self._limit and stamp - self._exceeded > HOLD:
+        elif not self.error > CLEAR * limit and stamp - self._exceeded > HOLD:
             self.alarm = False
-        return self.alarm
 
 
 @njit
-def _advance(poses: FloatArray, stamps: FloatArray, window: FloatArray, state: FloatArray) -> float:
-    """Take in the middle step; return the ATE by jumps, or that to the odometry if it is less.
+def _advance(
+    poses: FloatArray, stamps: FloatArray, window: FloatArray, state: FloatArray
+) -> tuple[float, float]:
+    """Take in the middle step; return the error, and the driven meters of the window.
 
-    The smooth path makes the expected step where the estimate jumps. NaN where too little is driven.
+    The smooth path makes the expected step where the estimate jumps. The error is its ATE to the estimate, or
+    that of the odometry if it is less or little is driven; NaN where too little is driven.
     """
     along, across, turn = _plausible_step(poses, stamps)
     heading = state[PATH + 2] + turn / 2
@@ -103,11 +113,13 @@ def _advance(poses: FloatArray, stamps: FloatArray, window: FloatArray, state: F
     state[PATH + 2] += turn
     _store(window, state, poses[MIDDLE + 1], math.hypot(along, across))
     rows = window[int(state[FIRST]) : int(state[END])]
-    if rows[-1, DRIVEN] - rows[0, DRIVEN] < MIN_LENGTH:
-        return math.nan
-    error: float = _aligned_rms(rows, ESTIMATE, SMOOTH)
-    apart: float = _aligned_rms(rows, ESTIMATE, ODOMETRY)
-    return apart if apart < error else error  # `apart` is NaN without odometry
+    driven: float = rows[-1, DRIVEN] - rows[0, DRIVEN]
+    if driven < MIN_LENGTH:
+        return math.nan, driven
+    error, apart = _aligned_rms(rows, ESTIMATE, SMOOTH), _aligned_rms(rows, ESTIMATE, ODOMETRY)
+    if apart < error or (driven < BEGINNING and not math.isnan(apart)):
+        error = apart
+    return error, driven
 
 
 @njit

@@ -87,7 +87,15 @@ def test_the_error_is_at_most_that_to_the_odometry() -> None:
     assert watched(found, odometry=found)[1][50:] == pytest.approx(0.0, abs=1e-6)
     alone, beside = watched(found), watched(found, odometry=true)
     assert alone[0].alarms == beside[0].alarms != []
-    assert (beside[1][50:] <= alone[1][50:]).all()
+    assert (beside[1][50:] <= alone[1][50:] + 1e-6).all()
+
+
+def test_the_beginning_of_a_path_is_compared_with_the_odometry() -> None:
+    true = smooth(4)
+    found = true.copy()
+    found[:, :2] = 0.5 * true[:, :2]  # half as far as by the wheels, without a jump
+    assert not watched(found)[0].alarms
+    assert watched(found, odometry=true)[0].alarms
 
 
 def test_an_alarm_ends_when_the_jump_is_far_behind_and_the_next_one_is_counted() -> None:
