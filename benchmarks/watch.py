@@ -7,7 +7,7 @@
 `drive` adds drives through the worlds of `verdict_study.py` to `watch_drives.csv`, and goes on where the last
 call ended. A planar method maps the scans of one drive that the robot makes by its true pose. `logs` adds the
 logs of simulated drives: the paths that the C++ originals made of them, and those of our methods with fewer,
-shorter and noisier scans. `evaluate` prints the reports of the methods themselves and the alarms of the watch
+shorter and noisier scans; it goes on, too. `evaluate` prints the reports of the methods themselves and the alarms of the watch
 by family of worlds, by method and by the limit of the watch. The last row has a limit for each family, set on
 the others: the one with the most failures noticed among those with at most one false alarm in 30 minutes.
 
@@ -166,9 +166,11 @@ def logs(options: argparse.Namespace) -> None:
             chosen = slice(None, None, 4 if change == CHANGES[1] else 1)
             changed = [degraded(scan, change) for scan in scans[chosen]]
             for method in PLANAR:
-                found = mapped(method, 1, changed, log.odometry[chosen], readings[chosen])
-                rows["logs", f"{run.name}, {change}", method, "1"] = aligned(truth, odometry, *found).row()
-                write(rows)
+                key = ("logs", f"{run.name}, {change}", method, "1")
+                if key not in rows:
+                    found = mapped(method, 1, changed, log.odometry[chosen], readings[chosen])
+                    rows[key] = aligned(truth, odometry, *found).row()
+                    write(rows)
 
 
 def degraded(scan: LaserScan, change: str) -> LaserScan:

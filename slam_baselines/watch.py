@@ -21,15 +21,15 @@ STEPS, MIDDLE = 15, 7
 """Steps whose median velocity the middle one is compared with: the delay is 7 poses."""
 ROUNDING = 0.005
 """Difference from the expected step that is no jump, meters and radians."""
-ACCELERATION = 20.0
-"""Largest plausible change of the velocity within a step, m/s²; of the rate of turn, 40 rad/s²."""
+ACCELERATION = 30.0
+"""Largest plausible change of the velocity within a step, m/s²; of the rate of turn, 60 rad/s²."""
 LENGTH, MIN_LENGTH = 5.0, 1.0
 """Path over which the error is estimated, and from which on there is an estimate, meters."""
-BEGINNING = 2.0
-"""Path over which the odometry counts alone: it has hardly drifted, and jumps are not known yet, meters."""
-LIMIT, AT_START = 0.12, 0.5
+BEGINNING = 2.5
+"""Path over which the odometry counts alone, since it has hardly drifted, meters."""
+LIMIT, AT_START = 0.13, 0.5
 """Estimated error over `LENGTH` above which an alarm begins, meters; the share of it at the start."""
-CLEAR, HOLD = 0.5, 5.0
+CLEAR, HOLD = 0.5, 10.0
 """Share of the limit below which an alarm ends, and its shortest time, seconds."""
 SPACING, CAPACITY = 0.01, 2048
 """Meters between two stored poses, and number of stored poses."""
