@@ -361,8 +361,7 @@ def replay_figure(replay: Replay) -> Drawing:
     ax.set_yticks(range(len(replay.mappers)), [m.mapper for m in replay.mappers])
     ax.invert_yaxis()
     plain_axes(ax, f"{replay.metric}, m", "")
-    known = ", log (red)" if any(m.real is not None for m in replay.mappers) else ""
-    title(ax, f"Draws (gray), interval (blue){known}")
+    title(ax, "Draws (gray), interval (blue), log (red, where known)")
     return figure
 
 
