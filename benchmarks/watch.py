@@ -6,10 +6,11 @@
 
 `drive` adds drives through the worlds of `verdict_study.py` to `watch_drives.csv`, and goes on where the last
 call ended. A planar method maps the scans of one drive that the robot makes by its true pose. `logs` adds the
-logs of simulated drives: the paths that the C++ originals made of them, and those of our methods with fewer,
-shorter and noisier scans; it goes on, too. `evaluate` prints the reports of the methods themselves and the alarms of the watch
-by family of worlds, by method and by the limit of the watch. The last row has a limit for each family, set on
-the others: the one with the most failures noticed among those with at most one false alarm in 30 minutes.
+logs of simulated drives, and goes on, too: the paths that the C++ originals made of them, and those of our
+methods with fewer, shorter and noisier scans. `evaluate` prints the reports of the methods themselves and the
+alarms of the watch by family of worlds, by method and by the limit of the watch. The last row has a limit for
+each family, set on the others: the one with the most failures noticed among those with at most one false
+alarm in 30 minutes.
 
 A failure is a drive that loses its way by the verdict's limits; its onset is the first time at which the ATE
 over the last 5 m exceeds them. It is noticed within 5 s of its onset. An alarm is false if it begins more
@@ -55,6 +56,8 @@ HEADINGS = ("family", "world", "method", "seed", "onset", "healthy", *SOURCES)
 alarm, empty without, and behind a slash the false alarms."""
 MOST_FALSE = 2.0
 """False alarms per hour that a limit may give."""
+LOGS = ("logs", "originals")
+"""Families of the table that are logs; the others are worlds."""
 CHANGES = ("as logged", "every 4th scan", "noise of 0.2 m", "4 m of range")
 ORIGINALS = ("hector", "cartographer_local", "slam_toolbox")
 """Online paths of C++ programs."""
@@ -200,20 +203,23 @@ def select(path: Trajectory, chosen: IntArray) -> Trajectory:
 def evaluate(_: argparse.Namespace) -> None:
     """Print how often failures were noticed, and alarms false, by family, by method and by limit."""
     rows, default = stored(), str(LIMIT)
-    families = list(dict.fromkeys(key[0] for key in rows))
-    for place, name in ((0, "family"), (2, "method")):
-        groups = [*dict.fromkeys(key[place] for key in rows), "all"]
+    worlds = {key: row for key, row in rows.items() if key[0] not in LOGS}
+    families = list(dict.fromkeys(key[0] for key in worlds))
+    for place, name, some in ((0, "family", rows), (2, "method", worlds)):
         lines = []
-        for group in groups:
-            mine = [row for key, row in rows.items() if group in ("all", key[place])]
+        for group in [*dict.fromkeys(key[place] for key in some), "all worlds"]:
+            chosen = worlds if group == "all worlds" else some
+            mine = [row for key, row in chosen.items() if group in ("all worlds", key[place])]
             own, watch = (figures((source, row) for row in mine) for source in ("own", default))
             line = {name: group, "drives": len(mine), "hours": hours(mine)} | own
             lines.append(line | {f"watch: {key}": value for key, value in watch.items() if key != "failures"})
         print_rows(lines, f"By {name}; the watch with its default of {default} m", width=150)
-    lines = [{"limit, m": limit} | figures((limit, row) for row in rows.values()) for limit in SOURCES[1:]]
-    others = {family: best_limit(rows, family) for family in families}
-    lines.append({"limit, m": "of the others"} | figures((others[key[0]], row) for key, row in rows.items()))
-    print_rows(lines, "By limit of the watch", width=110)
+    lines = [{"limit, m": limit} | figures((limit, row) for row in worlds.values()) for limit in SOURCES[1:]]
+    others = {family: best_limit(worlds, family) for family in families}
+    lines.append(
+        {"limit, m": "of the others"} | figures((others[key[0]], row) for key, row in worlds.items())
+    )
+    print_rows(lines, "By limit of the watch, all worlds", width=110)
 
 
 def figures(rows: Iterable[tuple[str, Sequence[str]]]) -> dict[str, Any]:
