@@ -34,8 +34,8 @@ ELSEWHERE = "import sys; sys.argv = {argv!r}; " + SERVE
 
 Those of multiprocessing run the caller's script again, which then needs a guard.
 """
-CALLBACK, LATER = "_raw_object_cache", 0.05
-"""Prefix of LLVM's callbacks, which drop an exception and crash; seconds until Ctrl-C comes again."""
+CALLBACKS, LATER = ("_raw_object_cache", "__del__"), 0.05
+"""Prefixes of LLVM's callbacks and destructors, which drop an exception; seconds until Ctrl-C comes again."""
 
 
 class ChildProcess:
@@ -176,7 +176,7 @@ def interrupt_after(seconds: float) -> Iterator[None]:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     while frame is not None:
-        if frame.f_code.co_name.startswith(CALLBACK):
+        if frame.f_code.co_name.startswith(CALLBACKS):
             again = threading.Timer(LATER, os.kill, (os.getpid(), number))
             again.daemon = True
             again.start()

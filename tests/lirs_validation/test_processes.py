@@ -29,6 +29,20 @@ def test_ctrl_c_waits_for_the_end_of_a_callback() -> None:
         time.sleep(10)
 
 
+def test_ctrl_c_is_not_lost_in_a_destructor() -> None:
+    class Interrupted:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    def drop_it_and_go_on() -> None:
+        Interrupted()
+        time.sleep(10)
+
+    raise_interrupts()
+    with pytest.raises(KeyboardInterrupt):
+        drop_it_and_go_on()
+
+
 def test_ctrl_c_interrupts_at_once_elsewhere() -> None:
     raise_interrupts()
     with pytest.raises(KeyboardInterrupt):
