@@ -17,6 +17,7 @@ from lirs_validation.gui.playback import LiveDrive, ate, read_playback, runs_in,
 from lirs_validation.record.run_record import read_record, schema_error
 from lirs_validation.record.verdict import judge
 from lirs_wct.errors import ConfigError, SourceError
+from slam_baselines.watch import Watch
 from tests.kit import SMALL
 
 FAILING = """
@@ -129,6 +130,7 @@ def test_closed_loops_and_lost_places_are_marked(
 def test_verdict_curve_and_events_follow_the_drive(scenarios: ScenarioCache) -> None:
     config = to_goal(RunConfig(source="simple", seconds=60.0), (-7.0, -13.0), (7.0, -11.0))
     drive = driven(config, scenarios, ticks=50)
+    drive.log.watch = Watch(0.02)  # the start-up refinement moves the path
     early = drive.moment(50).verdict
     assert early.startswith("Verdict so far: hector on husky was not evaluated on simple: it drove ")
     while not drive.over:
@@ -143,8 +145,7 @@ def test_verdict_curve_and_events_follow_the_drive(scenarios: ScenarioCache) -> 
     assert (curve[:, 2] > 0).all()
     assert last.errors[0] == 0.0
     assert last.errors == pytest.approx(np.hypot(*(last.truth[:, :2] - last.estimate).T))
-    # The start-up refinement moves the path by 0.2 m.
-    assert [name for _, name in drive.marks] == ["alarm"]
+    assert [name for _, name in drive.marks] == ["alarm"] * len(drive.log.watch.alarms) != []
 
 
 def test_the_pretrained_policy_drives_to_the_clicked_goal(scenarios: ScenarioCache) -> None:
