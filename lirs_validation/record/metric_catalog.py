@@ -90,7 +90,8 @@ class Metric:
         """Return a value in this unit with this metric's digits."""
         if value is None:
             return NOTHING
-        return f"{value:.{self.digits}f}" if self.digits is not None else significant(value)
+        fixed = self.digits == 0 or (self.digits is not None and abs(value) < 1e6)
+        return f"{value:.{self.digits}f}" if fixed else significant(value)
 
     def text(self, value: float) -> str:
         """Return a record's value with digits and unit, as in a sentence."""
@@ -212,13 +213,13 @@ def text_at(entry: Entry, key: str) -> str:
 
 
 def significant(value: float) -> str:
-    """Return a number with three significant digits, and no exponent.
+    """Return a number with three significant digits, and no exponent below a million.
 
-    >>> significant(0.01094), significant(41.27), significant(1234.5)
-    ('0.0109', '41.3', '1234')
+    >>> significant(0.01094), significant(41.27), significant(1234.5), significant(6.1077e12)
+    ('0.0109', '41.3', '1234', '6.11e+12')
     """
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
+    if value == 0 or not abs(value) < 1e6:
+        return f"{value:.3g}"
     return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
 
 

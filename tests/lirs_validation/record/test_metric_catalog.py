@@ -87,6 +87,11 @@ def runs_with(**values: float) -> list[dict[str, Any]]:
     return runs
 
 
+def test_a_path_that_diverges_has_a_short_error() -> None:
+    metric = next(m for m in METRICS if m.key == "trajectory.ate_rmse")
+    assert (metric.text(6107672361173.148), metric.text(0.125)) == ("6.11e+12 m", "0.125 m")
+
+
 def test_a_metric_is_added_in_one_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The table on the screen, Markdown, CSV, the report's page, comparison and picture all have it."""
     selections = ("picture", "runs", "summary", "compared", "distribution", "headline")
