@@ -4,7 +4,8 @@ The path of a robot is smooth. Steps of the path that leave the velocity around 
 an absolute trajectory error (ATE) over the last meters: the one that they would cause if the rest of the path
 were right. A path that is worse than the odometry is also apart from it, by the triangle inequality.
 
-Limits: a slow error is not seen, nor are errors at fewer than about four poses a second.
+Limits: a slow error is not seen, nor are jumps below `MOST_CHANGE` at ten poses a second or less, nor any at
+fewer than four.
 """
 
 from __future__ import annotations
@@ -21,16 +22,18 @@ STEPS, MIDDLE = 15, 7
 """Steps whose median velocity the middle one is compared with: the delay is 7 poses."""
 ROUNDING = 0.005
 """Difference from the expected step that is no jump, meters and radians."""
-ACCELERATION = 30.0
-"""Largest plausible change of the velocity within a step, m/s²; of the rate of turn, 60 rad/s²."""
+ACCELERATION, MOST_CHANGE = 30.0, 0.3
+"""Largest plausible change of the velocity, m/s², and of a step by it, meters; of turns twice that in rad."""
+MAX_STEP = 0.25
+"""Step beyond which the robot may have done anything, seconds."""
 LENGTH, MIN_LENGTH = 5.0, 1.0
 """Path over which the error is estimated, and from which on there is an estimate, meters."""
 BEGINNING = 2.5
 """Path over which the odometry counts alone, since it has hardly drifted, meters."""
 LIMIT, AT_START = 0.13, 0.5
 """Estimated error over `LENGTH` above which an alarm begins, meters; the share of it at the start."""
-CLEAR, HOLD = 0.5, 10.0
-"""Share of the limit below which an alarm ends, and its shortest time, seconds."""
+HOLD = 10.0
+"""Time for which an alarm goes on below the limit, seconds."""
 SPACING, CAPACITY = 0.01, 2048
 """Meters between two stored poses, and number of stored poses."""
 DRIVEN, ESTIMATE, SMOOTH, ODOMETRY, COLUMNS = 0, 1, 3, 5, 7
@@ -50,7 +53,7 @@ class Watch:
 
     Args:
         limit: Estimated error over 5 m above which an alarm begins, meters. It grows with the driven distance
-            from half of that; an alarm ends below `CLEAR` times that.
+            from half of that.
 
     Attributes:
         error: Estimated ATE over the last meters, meters; NaN before enough is driven.
@@ -84,16 +87,13 @@ class Watch:
         self._received += 1
         if self._received > STEPS:
             self.error, driven = _advance(self._poses, self._stamps, self._window, self._state)
-            self._judge(self._limit * (AT_START + (1 - AT_START) * driven / LENGTH), stamp)
+            limit = self._limit * (AT_START + (1 - AT_START) * driven / LENGTH)
+            if self.error > limit:
+                self.alarms += [] if self.alarm else [stamp]
+                self.alarm, self._exceeded = True, stamp
+            elif stamp - self._exceeded > HOLD:
+                self.alarm = False
         return self.alarm
-
-    def _judge(self, limit: float, stamp: float) -> None:
-        """Begin or end an alarm."""
-        if self.error > limit:
-            self.alarms += [] if self.alarm else [stamp]
-            self.alarm, self._exceeded = True, stamp
-        elif not self.error > CLEAR * limit and stamp - self._exceeded > HOLD:
-            self.alarm = False
 
 
 @njit
@@ -139,12 +139,13 @@ def _plausible_step(poses: FloatArray, stamps: FloatArray) -> tuple[float, float
         velocities[0, k] = (c * dx + s * dy) / times[k]
         velocities[1, k] = (c * dy - s * dx) / times[k]
         velocities[2, k] = turn / times[k]
-    limit = ACCELERATION * times[MIDDLE] * times[MIDDLE - 1 : MIDDLE + 2].max() + ROUNDING
+    longest = times[MIDDLE - 1 : MIDDLE + 2].max()
+    limit = min(ACCELERATION * times[MIDDLE] * longest, MOST_CHANGE) + ROUNDING
     expected = (np.median(velocities[0]), np.median(velocities[1]), np.median(velocities[2]))
     jumps = False
     for k in range(3):
         off = abs(velocities[k, MIDDLE] - expected[k]) * times[MIDDLE]
-        jumps |= off > (limit if k < 2 else 2 * limit)
+        jumps |= longest <= MAX_STEP and off > (limit if k < 2 else 2 * limit)
     if not jumps:
         expected = (velocities[0, MIDDLE], velocities[1, MIDDLE], velocities[2, MIDDLE])
     return expected[0] * times[MIDDLE], expected[1] * times[MIDDLE], expected[2] * times[MIDDLE]

@@ -71,7 +71,7 @@ from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.source import SourceKind, find_source, is_bag
 from slam_baselines.front_end import KnownPoseMapper
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, file_name, make_mapper, read_parameters, warm_up
-from slam_baselines.watch import Watch
+from slam_baselines.watch import MAX_STEP, Watch
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.canvas import Drawing
@@ -216,7 +216,7 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
     with _measure_time(seconds, "map_seconds"):
-        tracking, watch, level = replay(config, mapper, log, readings, progress)
+        tracking, alarms, level = replay(config, mapper, log, readings, progress)
         trajectory = mapper.trajectory()
         grid = horizontal_map(level, trajectory, config.resolution) if mapper.reads_clouds else mapper.map()
     cost = {**seconds, **asdict(meter.cost())}
@@ -238,7 +238,7 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         | {"inertial_readings": sum(reading is not None for reading in readings)}
         | {"unfit": preflight.unfit, "findings": [str(finding) for finding in preflight.findings]},
         map=describe_map(grid),
-        trajectory=path | {"alarms": [stamp - log.stamps[0] for stamp in watch.alarms]},
+        trajectory=path | {"alarms": alarms},
         mapper=asdict(mapper.stats),
         accuracy=accuracy.metrics(),
         quality=quality | {"second": second},
@@ -298,8 +298,8 @@ def replay(
     log: LaserLog,
     readings: Sequence[Imu | None],
     progress: Progress,
-) -> tuple[LostRule, Watch, list[LaserScan]]:
-    """Replay a log; return losses of the place, the watch, and horizontal beams of clouds."""
+) -> tuple[LostRule, list[float] | None, list[LaserScan]]:
+    """Replay a log; return losses, alarms (None where scans are too rare) and horizontal beams."""
     tracking, watch, level, points, before = LostRule(), Watch(), list[LaserScan](), 0, -np.inf
     scans: Iterable[LaserScan | PointCloud] = log.scans if log.clouds is None else log.clouds
     for k, (scan, odometry, imu) in enumerate(zip(scans, log.odometry, readings, strict=True)):
@@ -321,7 +321,8 @@ def replay(
         progress("map", (k + 1) / len(readings))
     if level and not points:
         raise SourceError(f"{config.log}: none of its {len(level)} point clouds holds a valid point")
-    return tracking, watch, level
+    rare = log.stamps[-1] - log.stamps[0] > MAX_STEP * len(log.stamps)
+    return tracking, None if rare else [stamp - log.stamps[0] for stamp in watch.alarms], level
 
 
 def horizontal_scan(cloud: PointCloud) -> LaserScan:

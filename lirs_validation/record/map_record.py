@@ -38,7 +38,7 @@ class MapRecord:
             the stamps how many went back, were repeated and were moved, and by how much at most.
         map: cells, resolution, meters, occupied cells, square meters known.
         trajectory: poses, length, the share of the scans that has a pose (scan_coverage), and when the watch
-            on the poses gave an alarm (alarms, seconds since the first scan).
+            on the poses gave an alarm (alarms, seconds since the first scan; null where scans are too rare).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
         accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.
         quality: figures without truth: revisit_residual, pass_residual, longest_gap (meters)
@@ -122,7 +122,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
     """Return names and values of existing results, the status first."""
     log, grid, mapper, quality = record.log, record.map, record.mapper, record.quality
     width, depth = grid["size"]
-    driven = log["odometry_length"]
+    driven, alarms = log["odometry_length"], record.trajectory["alarms"]
     beams = "" if log["beams"] is None else f" of {log['beams']} beams"
     told = " (not told to the mapper)" if record.config.attitude == "none" else ""
     second = quality.get("second") or {}
@@ -137,7 +137,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("known", f"{grid['known_area']:.0f} m2"),
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
         ("scans while lost", f"{mapper['lost']}"),
-        ("alarms of the watch", f"{len(record.trajectory['alarms'])}"),
+        ("alarms of the watch", "too few scans a second" if alarms is None else f"{len(alarms)}"),
         ("walls seen again differ by", _meters(quality.get("revisit_residual"))),
         ("... within one pass by", _meters(quality.get("pass_residual"))),
         (f"path differs from {second.get('mapper')}'s by", _meters(second.get("difference"))),

@@ -98,6 +98,24 @@ def test_the_beginning_of_a_path_is_compared_with_the_odometry() -> None:
     assert watched(found, odometry=true)[0].alarms
 
 
+def straight(jump: float, at: float, rate: float) -> Watch:
+    """Return the watch after 20 m at 1 m/s, with a jump sideways, in meters, at a time."""
+    watch = Watch()
+    for k in range(round(20 * rate)):
+        watch.update(Pose2(k / rate, jump * (k / rate > at)), k / rate)
+    return watch
+
+
+def test_a_path_of_few_meters_has_a_smaller_limit() -> None:
+    assert straight(0.4, 1.0, 20.0).alarms
+    assert not straight(0.4, 12.0, 20.0).alarms
+
+
+@pytest.mark.parametrize(("rate", "seen"), [(40.0, True), (10.0, True), (5.0, True), (2.0, False)])
+def test_a_jump_of_a_meter_is_seen_from_four_poses_a_second_on(rate: float, seen: bool) -> None:
+    assert bool(straight(1.0, 10.0, rate).alarms) == seen
+
+
 def test_an_alarm_ends_when_the_jump_is_far_behind_and_the_next_one_is_counted() -> None:
     watch, _ = watched(jumped(jumped(smooth(1, 60.0), 200, Pose2(1.0)), 800, Pose2(1.0)))
     assert [round(stamp) for stamp in watch.alarms] == [10, 40]

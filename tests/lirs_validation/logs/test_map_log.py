@@ -151,6 +151,14 @@ def test_nothing_to_compare_with_is_told_and_null(room: Path, tmp_path: Path) ->
     assert told["relations"]["translation_mean"] is told["reference"]["ate_rmse"] is None
 
 
+def test_a_log_of_rare_scans_has_no_watch(room: Path, tmp_path: Path) -> None:
+    """A path that was 4 m off had "0 alarms", as no jump is seen in steps of 2 s."""
+    write_log(tmp_path / "rare.clf", (room / "room.clf").read_text().splitlines()[::5])
+    rare, usual = (map_log(log, mapper="hector") for log in (tmp_path / "rare.clf", room / "room.clf"))
+    assert (rare.record.trajectory["alarms"], usual.record.trajectory["alarms"]) == (None, [])
+    assert dict(map_lines(rare.record))["alarms of the watch"] == "too few scans a second"
+
+
 @pytest.mark.slow
 def test_quality_without_truth_is_recorded_and_stated(room: Path, tmp_path: Path) -> None:
     mapped = map_log(room / "room.clf", mapper="hector", out=tmp_path)
