@@ -81,6 +81,12 @@ MAPPERS: Mapping[str, Method] = {
         "CartographerOriginalMapper",
         "resolution",
     ),
+    "slam_toolbox_original": Method(
+        f"{_ORIGINALS}.slam_toolbox.mapper",
+        "SlamToolboxOriginalConfig",
+        "SlamToolboxOriginalMapper",
+        "resolution",
+    ),
 }
 """The planar methods by name."""
 

@@ -8,6 +8,7 @@ normal equations.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -17,11 +18,20 @@ from lirs_extensions.originals.cartographer.config import CartographerOriginalCo
 from lirs_extensions.originals.cartographer.probability_grid import COST, ProbabilityGrid
 from lirs_wct.geometry import Float32Array, FloatArray, IntArray, Pose2, njit, wrap_angle
 
-FUNCTION_TOLERANCE, GRADIENT_TOLERANCE, PARAMETER_TOLERANCE = 1e-6, 1e-10, 1e-8
-INITIAL_RADIUS, MAX_RADIUS, MIN_RADIUS = 1e4, 1e16, 1e-32
+INITIAL_RADIUS, MIN_RADIUS = 1e4, 1e-32
 MIN_RELATIVE_DECREASE = 1e-3
 MIN_DIAGONAL, MAX_DIAGONAL = 1e-6, 1e32
 MAX_NONMONOTONIC_STEPS = 5
+
+
+class SolverOptions(NamedTuple):
+    """Options of the solver by Ceres's names and defaults; `nonmonotonic` steps may raise the cost."""
+
+    function_tolerance: float = 1e-6
+    gradient_tolerance: float = 1e-10
+    parameter_tolerance: float = 1e-8
+    max_radius: float = 1e16
+    nonmonotonic: int = 0
 
 
 class NormalEquations(NamedTuple):
@@ -86,41 +96,45 @@ class StepJudge:
 
 
 def minimize(
-    problem: LeastSquares, x: FloatArray, max_num_iterations: int, *, nonmonotonic: bool = False
+    problem: LeastSquares,
+    x: FloatArray,
+    max_num_iterations: int,
+    *,
+    options: SolverOptions = SolverOptions(),
+    move: Callable[[FloatArray, FloatArray], FloatArray] = np.add,
 ) -> FloatArray:
-    """Return the point (n,) at which the solver stops, from a start (n,)."""
+    """Return the point (n,) at which the solver stops, from a start (n,); `move` takes a step from a point."""
     now = problem.evaluate(x)
-    best, least = x, now.cost
-    judge = StepJudge(now.cost, MAX_NONMONOTONIC_STEPS if nonmonotonic else 0)
+    best, least, moved = x, now.cost, False
+    judge = StepJudge(now.cost, options.nonmonotonic)
     scale2 = 1 / (1 + np.sqrt(now.diagonal)) ** 2
     radius, shrink = INITIAL_RADIUS, 2.0
     for _ in range(max_num_iterations):
-        if np.abs(now.gradient).max() <= GRADIENT_TOLERANCE or radius < MIN_RADIUS:
+        if np.abs(now.gradient).max() <= options.gradient_tolerance or radius < MIN_RADIUS:
             break
         damping = np.clip(now.diagonal * scale2, MIN_DIAGONAL, MAX_DIAGONAL) / (scale2 * radius)
         step = problem.solve(now, damping)
         expected = 0.5 * float(step @ (damping * step) - now.gradient @ step)
         if expected > 0:
-            then = problem.evaluate(x + step)
-            if _is_converged(x, step, now.cost - then.cost, now.cost):
+            candidate = move(x, step)
+            then = problem.evaluate(candidate)
+            # Of the lengths Ceres's rule: not before a step was taken.
+            short = options.parameter_tolerance * (float(np.linalg.norm(x)) + options.parameter_tolerance)
+            if moved and np.linalg.norm(candidate - x) <= short:
+                break
+            if abs(now.cost - then.cost) <= options.function_tolerance * now.cost:
                 break
             quality = judge.quality(then.cost, expected)
             if quality > MIN_RELATIVE_DECREASE:
                 judge.accept(then.cost, expected)
-                x, now = x + step, then
-                radius = min(MAX_RADIUS, radius / max(1 / 3, 1 - (2 * quality - 1) ** 3))
+                x, now, moved = candidate, then, True
+                radius = min(options.max_radius, radius / max(1 / 3, 1 - (2 * quality - 1) ** 3))
                 shrink = 2.0
                 if now.cost < least:
                     best, least = x, now.cost
                 continue
         radius, shrink = radius / shrink, 2 * shrink
     return best
-
-
-def _is_converged(x: FloatArray, step: FloatArray, decrease: float, cost: float) -> bool:
-    """Return whether a step is too small to be taken."""
-    short = PARAMETER_TOLERANCE * (math.sqrt(float(x @ x)) + PARAMETER_TOLERANCE)
-    return math.sqrt(float(step @ step)) <= short or abs(decrease) <= FUNCTION_TOLERANCE * cost
 
 
 def match_scan(
@@ -132,9 +146,8 @@ def match_scan(
     `start` (Hess et al. 2016, eq. CS).
     """
     problem = _MatchProblem(grid, points, np.array((target.x, target.y, start.yaw)), matcher)
-    x = minimize(
-        problem, start.as_array(), matcher.max_num_iterations, nonmonotonic=matcher.use_nonmonotonic_steps
-    )
+    options = SolverOptions(nonmonotonic=MAX_NONMONOTONIC_STEPS if matcher.use_nonmonotonic_steps else 0)
+    x = minimize(problem, start.as_array(), matcher.max_num_iterations, options=options)
     return Pose2(float(x[0]), float(x[1]), wrap_angle(float(x[2])))
 
 

@@ -1,0 +1,150 @@
+"""Planar slam_toolbox as in its authors' program: gate, correlative matching, pose graph.
+
+Macenski and Jambrecic 2021, with the defaults of `mapper_params_online_sync.yaml`; it is driven as the
+synchronous node drives it. No attitude, no ground filter: on uneven ground hillsides are walls. It never
+reports that it is lost.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lirs_extensions.originals.slam_toolbox.config import SlamToolboxOriginalConfig
+from lirs_extensions.originals.slam_toolbox.pose_graph import TOLERANCE, SlamToolboxGraph
+from lirs_extensions.originals.slam_toolbox.scan_matching import ScanNode
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
+from slam_baselines.cartographer.loop_closure import LoopEvent
+from slam_baselines.front_end import KeyframeTrajectory
+from slam_baselines.leveling import LeveledScan, ScanLeveler
+from slam_baselines.mapper import MapperStats, PlanarMapper
+from slam_baselines.occupancy_map import OccupancyMap, bounding_box
+
+__all__ = ["SlamToolboxOriginalConfig", "SlamToolboxOriginalMapper"]
+
+GATE_SHARE = 0.8
+"""Share of the squared travel distance after which a scan is let in."""
+FIRST_SCANS = 5
+"""Number of the scan from which on a second one is let in."""
+MAX_INTERVAL = 3600.0
+"""Time after which a scan that was let in becomes a node anyhow, seconds."""
+
+
+class SlamToolboxOriginalMapper(PlanarMapper):
+    """Scans become nodes half a meter apart, each matched with the last ten; loops are closed.
+
+    Inside, the map frame is the odometry frame, as in the original: its optimizer depends on the origin.
+    """
+
+    name = "slam_toolbox_original"
+    requires_odometry = True
+
+    def __init__(self, config: SlamToolboxOriginalConfig | None = None) -> None:
+        super().__init__()
+        self.config = c = config or SlamToolboxOriginalConfig()
+        self._graph = SlamToolboxGraph(c)
+        self._leveler = ScanLeveler(0.0, c.max_laser_range)
+        self._scans = KeyframeTrajectory()
+        self._kept: list[LeveledScan] = []
+        self._running: list[int] = []
+        self._let_in: tuple[float, Pose2] | None = None
+
+    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Make the scan a node if due; return `T_map_base`."""
+        assert odometry is not None, "it is required"
+        nodes = self._graph.nodes
+        if self._passes_gate(scan.stamp, odometry) and self._is_node_due(scan, odometry):
+            self._add_node(ScanNode(scan, odometry, self.config))
+            self._kept.append(self._leveler.level(scan, None))
+        since = nodes[-1].odometry.inverse() @ odometry
+        self._scans.add(scan.stamp, len(nodes) - 1, since)
+        return nodes[0].odometry.inverse() @ nodes[-1].pose @ since
+
+    def map(self) -> OccupancyGrid:
+        """Return the map of all nodes at their poses now (see OccupancyMap)."""
+        drawn = OccupancyMap(self.config.resolution)
+        for scan, pose in zip(self._kept, self._poses(), strict=True):
+            placed = scan.transformed(pose, 0.0)
+            drawn.update(placed, np.zeros(len(placed.hits), np.uint8), 0, bounding_box(placed))
+        return drawn.occupancy_grid(0)
+
+    def trajectory(self) -> Trajectory:
+        """Return the pose of every scan: its node's pose now, and the odometry since then."""
+        return self._scans.trajectory(self._poses())
+
+    @property
+    def loops(self) -> list[LoopEvent]:
+        """Loops closed so far."""
+        return list(self._graph.events)
+
+    def counts(self) -> MapperStats:
+        """Return used and skipped scans, memory and other counts."""
+        graph, used = self._graph, len(self._graph.nodes)
+        return MapperStats(
+            used=used,
+            skipped={"not moved": self.received - used},
+            memory=graph.nbytes,
+            counts={
+                "nodes": used,
+                "edges": len(graph.links),
+                "loops": len(graph.events),
+                "loop_searches": graph.loop_searches,
+            },
+        )
+
+    def _poses(self) -> list[Pose2]:
+        """Return `T_map_base` of all nodes."""
+        nodes = self._graph.nodes
+        return [nodes[0].odometry.inverse() @ node.pose for node in nodes]
+
+    def _passes_gate(self, stamp: float, odometry: Pose2) -> bool:
+        """Return whether the ROS node lets a scan in; it compares with the last that it let in."""
+        c = self.config
+        if self._let_in is not None:
+            then, last = self._let_in
+            squared = (odometry.x - last.x) ** 2 + (odometry.y - last.y) ** 2
+            if (
+                self.received % c.throttle_scans
+                or stamp - then < c.minimum_time_interval
+                or squared < GATE_SHARE * c.minimum_travel_distance**2
+                or self.received < FIRST_SCANS
+            ):
+                return False
+        self._let_in = stamp, odometry
+        return True
+
+    def _is_node_due(self, scan: LaserScan, odometry: Pose2) -> bool:
+        """Return whether distance, turn or time since the last node are large enough."""
+        c, nodes = self.config, self._graph.nodes
+        if not nodes:
+            return True
+        last, mount = nodes[-1], scan.T_base_laser.to_pose2()
+        before, now = last.odometry @ last.mount, odometry @ mount
+        squared = (now.x - before.x) ** 2 + (now.y - before.y) ** 2
+        return (
+            squared >= c.minimum_travel_distance**2 - TOLERANCE
+            or abs(wrap_angle(now.yaw - before.yaw)) >= c.minimum_travel_heading
+            or scan.stamp - last.stamp >= MAX_INTERVAL
+        )
+
+    def _add_node(self, node: ScanNode) -> None:
+        """Match a node with the running buffer, add it to the graph and close its loops."""
+        c, graph, match = self.config, self._graph, None
+        if graph.nodes:
+            last = graph.nodes[-1]
+            node.pose = last.pose @ last.odometry.inverse() @ node.odometry
+            if c.use_scan_matching:
+                base = [graph.nodes[i] for i in self._running]
+                match = graph.matcher.match(node, base, node.sensor, penalize=True)
+                node.pose = node.base_at(match.sensor)
+        graph.add_node(node, match, self._running)
+        new = len(graph.nodes) - 1
+        self._running.append(new)
+        while len(self._running) > c.scan_buffer_size or self._buffer_length() > c.scan_buffer_maximum_scan_distance:
+            del self._running[0]
+        if c.use_scan_matching and c.do_loop_closing:
+            graph.close_loops(new)
+
+    def _buffer_length(self) -> float:
+        """Return the distance of the sensor between the first and the last node of the buffer, meters."""
+        first, last = (self._graph.nodes[self._running[i]].sensor for i in (0, -1))
+        return first.distance(last)
