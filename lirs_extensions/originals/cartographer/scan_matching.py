@@ -34,6 +34,9 @@ class SolverOptions(NamedTuple):
     nonmonotonic: int = 0
 
 
+DEFAULTS = SolverOptions()
+
+
 class NormalEquations(NamedTuple):
     """Least-squares problem at one point: half the sum of squared residuals, gradient (n,), J'J.
 
@@ -100,10 +103,10 @@ def minimize(
     x: FloatArray,
     max_num_iterations: int,
     *,
-    options: SolverOptions = SolverOptions(),
+    options: SolverOptions = DEFAULTS,
     move: Callable[[FloatArray, FloatArray], FloatArray] = np.add,
 ) -> FloatArray:
-    """Return the point (n,) at which the solver stops, from a start (n,); `move` takes a step from a point."""
+    """Return the point (n,) at which the solver stops; `move` adds a step."""
     now = problem.evaluate(x)
     best, least, moved = x, now.cost, False
     judge = StepJudge(now.cost, options.nonmonotonic)
@@ -118,7 +121,7 @@ def minimize(
         if expected > 0:
             candidate = move(x, step)
             then = problem.evaluate(candidate)
-            # Of the lengths Ceres's rule: not before a step was taken.
+            # As in Ceres, a step is not too short before one was taken.
             short = options.parameter_tolerance * (float(np.linalg.norm(x)) + options.parameter_tolerance)
             if moved and np.linalg.norm(candidate - x) <= short:
                 break

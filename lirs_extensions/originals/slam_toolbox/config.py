@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
-from lirs_wct.errors import Checked, limited
+from lirs_wct.errors import Checked, limited, require_within
+
+MOST_CELLS = 10_000
+"""Largest number of cells along a range or along an edge of the search."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +52,10 @@ class SlamToolboxOriginalConfig(Checked, of="slam_toolbox_original"):
         coarse_angle_resolution: Step of the headings of the first stage, radians.
         minimum_angle_penalty: Least factor of a turn.
         minimum_distance_penalty: Least factor of a shift.
+
+    Raises:
+        ConfigError: a value is not legal, a grid would be too fine or too coarse for what it holds, or a step
+            of the headings is larger than the turn that it divides.
     """
 
     resolution: float = limited(0.05, "(0, inf]", "m")
@@ -56,7 +64,7 @@ class SlamToolboxOriginalConfig(Checked, of="slam_toolbox_original"):
     minimum_travel_distance: float = limited(0.5, "[0, inf]")
     minimum_travel_heading: float = limited(0.5, "[0, inf]")
     min_laser_range: float = limited(0.0, "[0, inf)", "m")
-    max_laser_range: float = limited(20.0, "(0, 1000]", "m")
+    max_laser_range: float = limited(20.0, "(0, inf]", "m")
     no_return_share: float = limited(0.999, "(0, inf]")
     use_scan_matching: bool = True
     use_scan_barycenter: bool = True
@@ -71,12 +79,12 @@ class SlamToolboxOriginalConfig(Checked, of="slam_toolbox_original"):
     loop_match_maximum_variance_coarse: float = limited(3.0, "(0, inf]", "m")
     loop_match_minimum_response_coarse: float = limited(0.35, "[0, 1]")
     loop_match_minimum_response_fine: float = limited(0.45, "[0, 1]")
-    correlation_search_space_dimension: float = limited(0.5, "(0, 100]", "m")
-    correlation_search_space_resolution: float = limited(0.01, "[0.001, inf]", "m")
-    correlation_search_space_smear_deviation: float = limited(0.1, "[0.005, inf]", "m")
-    loop_search_space_dimension: float = limited(8.0, "(0, 100]", "m")
-    loop_search_space_resolution: float = limited(0.05, "[0.001, inf]", "m")
-    loop_search_space_smear_deviation: float = limited(0.03, "[0.005, inf]", "m")
+    correlation_search_space_dimension: float = limited(0.5, "(0, inf]", "m")
+    correlation_search_space_resolution: float = limited(0.01, "(0, inf]", "m")
+    correlation_search_space_smear_deviation: float = limited(0.1, "(0, inf]", "m")
+    loop_search_space_dimension: float = limited(8.0, "(0, inf]", "m")
+    loop_search_space_resolution: float = limited(0.05, "(0, inf]", "m")
+    loop_search_space_smear_deviation: float = limited(0.03, "(0, inf]", "m")
     distance_variance_penalty: float = limited(0.5, "(0, inf]", "m")
     angle_variance_penalty: float = limited(1.0, "(0, inf]")
     fine_search_angle_offset: float = limited(0.00349, "(0, 1]")
@@ -84,3 +92,19 @@ class SlamToolboxOriginalConfig(Checked, of="slam_toolbox_original"):
     coarse_angle_resolution: float = limited(0.0349, "(0, 1]")
     minimum_angle_penalty: float = limited(0.9, "[0, 1]")
     minimum_distance_penalty: float = limited(0.5, "[0, 1]")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for grid in ("correlation_search_space", "loop_search_space"):
+            cell = getattr(self, f"{grid}_resolution")
+            for name, least, most in (
+                (f"{grid}_smear_deviation", 0.5, 10),
+                (f"{grid}_dimension", 2, MOST_CELLS),
+                ("max_laser_range", 1, MOST_CELLS),
+            ):
+                require_within(
+                    self, f"[{least * cell}, {most * cell}]", name, of=f"{grid}_resolution {cell}", unit="m"
+                )
+        steps = "fine_search_angle_offset", "coarse_angle_resolution", "coarse_search_angle_offset"
+        for step, whole in pairwise(steps):
+            require_within(self, f"(0, {getattr(self, whole)}]", step, of=f"{whole} {getattr(self, whole)}")

@@ -30,7 +30,7 @@ MAX_INTERVAL = 3600.0
 
 
 class SlamToolboxOriginalMapper(PlanarMapper):
-    """Scans become nodes half a meter apart, each matched with the last ten; loops are closed.
+    """Scan matching with the last ten nodes, near chains and loops; no attitude.
 
     Inside, the map frame is the odometry frame, as in the original: its optimizer depends on the origin.
     """
@@ -97,7 +97,7 @@ class SlamToolboxOriginalMapper(PlanarMapper):
         return [nodes[0].odometry.inverse() @ node.pose for node in nodes]
 
     def _passes_gate(self, stamp: float, odometry: Pose2) -> bool:
-        """Return whether the ROS node lets a scan in; it compares with the last that it let in."""
+        """Return whether time and distance since the last scan let in suffice."""
         c = self.config
         if self._let_in is not None:
             then, last = self._let_in
@@ -127,24 +127,20 @@ class SlamToolboxOriginalMapper(PlanarMapper):
         )
 
     def _add_node(self, node: ScanNode) -> None:
-        """Match a node with the running buffer, add it to the graph and close its loops."""
-        c, graph, match = self.config, self._graph, None
+        """Match a node with the running buffer, link it and close its loops."""
+        c, graph, running, match = self.config, self._graph, self._running, None
         if graph.nodes:
             last = graph.nodes[-1]
-            node.pose = last.pose @ last.odometry.inverse() @ node.odometry
+            node.place(last.pose @ last.odometry.inverse() @ node.odometry)
             if c.use_scan_matching:
-                base = [graph.nodes[i] for i in self._running]
+                base = [graph.nodes[i] for i in running]
                 match = graph.matcher.match(node, base, node.sensor, penalize=True)
-                node.pose = node.base_at(match.sensor)
-        graph.add_node(node, match, self._running)
-        new = len(graph.nodes) - 1
-        self._running.append(new)
-        while len(self._running) > c.scan_buffer_size or self._buffer_length() > c.scan_buffer_maximum_scan_distance:
-            del self._running[0]
+                node.place(node.base_at(match.sensor))
+        graph.add_node(node, match, running)
+        running.append(len(graph.nodes) - 1)
+        while len(running) > c.scan_buffer_size or (
+            graph.nodes[running[0]].sensor.distance(node.sensor) > c.scan_buffer_maximum_scan_distance
+        ):
+            del running[0]
         if c.use_scan_matching and c.do_loop_closing:
-            graph.close_loops(new)
-
-    def _buffer_length(self) -> float:
-        """Return the distance of the sensor between the first and the last node of the buffer, meters."""
-        first, last = (self._graph.nodes[self._running[i]].sensor for i in (0, -1))
-        return first.distance(last)
+            graph.close_loops(running[-1])

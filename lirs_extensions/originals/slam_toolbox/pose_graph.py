@@ -1,25 +1,23 @@
-"""Pose graph of the original: links to near chains of nodes, loop search, and its sparse optimization.
+"""Pose graph of the original: links, loop search and optimization (Konolige et al. 2010).
 
-Konolige et al. 2010, "Efficient sparse pose adjustment for 2D mapping". The odometry is no constraint.
+Links follow from scan matching alone, the odometry is no constraint.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from lirs_extensions.originals.cartographer.scan_matching import (
-    NormalEquations,
-    SolverOptions,
-    minimize,
-)
+from lirs_extensions.originals.cartographer.scan_matching import NormalEquations, SolverOptions, minimize
 from lirs_extensions.originals.slam_toolbox.config import SlamToolboxOriginalConfig
-from lirs_extensions.originals.slam_toolbox.scan_matching import Match, ScanMatcher, ScanNode
+from lirs_extensions.originals.slam_toolbox.scan_matching import CorrelativeMatcher, ScanNode, SensorMatch
 from lirs_wct.geometry import FloatArray, Pose2, in_axes_of, wrap_angles
 from slam_baselines.cartographer.loop_closure import LoopEvent
 from slam_baselines.cartographer.pose_graph import PoseConstraint, PoseConstraints, errors, linearize
@@ -38,14 +36,8 @@ class SlamToolboxGraph:
 
     def __init__(self, config: SlamToolboxOriginalConfig) -> None:
         self._config = c = config
-        self.matcher = ScanMatcher(
-            c,
-            c.correlation_search_space_dimension,
-            c.correlation_search_space_resolution,
-            c.correlation_search_space_smear_deviation,
-        )
-        self._loop_matcher = ScanMatcher(
-            c, c.loop_search_space_dimension, c.loop_search_space_resolution, c.loop_search_space_smear_deviation
+        self.matcher, self._loop_matcher = (
+            CorrelativeMatcher(c, f"{name}_search_space") for name in ("correlation", "loop")
         )
         self.nodes: list[ScanNode] = []
         self.links: dict[tuple[int, int], PoseConstraint] = {}
@@ -57,11 +49,11 @@ class SlamToolboxGraph:
     @property
     def nbytes(self) -> int:
         """Memory of the matchers' grids and of the scans."""
-        scans = sum(node.ranges.nbytes + node.angles.nbytes for node in self.nodes)
+        scans = sum(node.ranges.nbytes + node.returns.nbytes + node.points.nbytes for node in self.nodes)
         return self.matcher.nbytes + self._loop_matcher.nbytes + scans
 
-    def add_node(self, node: ScanNode, match: Match | None, running: Sequence[int]) -> None:
-        """Add a node, link it to the last ones and to near chains, and move it to the mean of all matches."""
+    def add_node(self, node: ScanNode, match: SensorMatch | None, running: Sequence[int]) -> None:
+        """Add a node, link it, and move it to the mean of its matches."""
         new = len(self.nodes)
         self.nodes.append(node)
         self._neighbors.append([])
@@ -76,44 +68,42 @@ class SlamToolboxGraph:
             if found.response > self._config.link_match_minimum_response_fine - TOLERANCE:
                 matches.append(found)
                 self._link_chain(chain, new, found)
-        node.pose = node.base_at(weighted_mean(matches))
+        node.place(node.base_at(weighted_mean(matches)))
 
     def close_loops(self, new: int) -> None:
-        """Match a node with every chain of old nodes around it; optimize after each that fits."""
-        c, node, start = self._config, self.nodes[new], 0
-        while True:
-            chain, start = self._loop_chain(new, start)
-            if not chain:
-                return
+        """Match a node with each chain of old ones near it; optimize after a success."""
+        c, node = self._config, self.nodes[new]
+        chain, start = self._loop_chain(new, 0)
+        while chain:
             self.loop_searches += 1
             base = [self.nodes[i] for i in chain]
             match = self._loop_matcher.match(node, base, node.sensor, fine=False)
-            variance = max(match.covariance[0, 0], match.covariance[1, 1])
+            deviation = math.sqrt(max(match.covariance[0, 0], match.covariance[1, 1]))
             if (
-                match.response <= c.loop_match_minimum_response_coarse
-                or variance >= c.loop_match_maximum_variance_coarse**2
+                match.response > c.loop_match_minimum_response_coarse
+                and deviation < c.loop_match_maximum_variance_coarse
             ):
-                continue
-            match = self.matcher.match(node, base, match.sensor)
-            if match.response < c.loop_match_minimum_response_fine:
-                continue
-            before, node.pose = node.pose, node.base_at(match.sensor)
-            self.events.append(LoopEvent(node.stamp, base[0].stamp, before, node.pose, match.response))
-            self._link_chain(chain, new, match)
-            self._optimize()
+                match = self.matcher.match(node, base, match.sensor)
+                if match.response >= c.loop_match_minimum_response_fine:
+                    before, pose = node.pose, node.base_at(match.sensor)
+                    self.events.append(LoopEvent(node.stamp, base[0].stamp, before, pose, match.response))
+                    node.place(pose)
+                    self._link_chain(chain, new, match)
+                    self._optimize()
+            chain, start = self._loop_chain(new, start)
 
-    def _link(self, old: int, new: int, match: Match) -> None:
+    def _link(self, old: int, new: int, match: SensorMatch) -> None:
         """Link two nodes, unless they are linked."""
         if (old, new) in self.links:
             return
         frame = self.nodes[old].pose
         z = frame.inverse() @ self.nodes[new].base_at(match.sensor)
-        information = np.linalg.inv(in_axes_of(frame, match.covariance))
+        information = np.asarray(np.linalg.inv(in_axes_of(frame, match.covariance)), dtype=np.float64)
         self.links[old, new] = PoseConstraint(old, new, z.as_array(), information, False)
         self._neighbors[old].append(new)
         self._neighbors[new].append(old)
 
-    def _link_chain(self, chain: Sequence[int], new: int, match: Match) -> None:
+    def _link_chain(self, chain: Sequence[int], new: int, match: SensorMatch) -> None:
         """Link a node to the nearest of a chain, if near enough."""
         distances = [self._squared_distance(i, new) for i in chain]
         nearest = int(np.argmin(distances))
@@ -124,7 +114,7 @@ class SlamToolboxGraph:
         (ax, ay), (bx, by) = self.nodes[a].center, self.nodes[b].center
         return (ax - bx) ** 2 + (ay - by) ** 2
 
-    def _linked(self, new: int, reach: float) -> list[int]:
+    def _reach(self, new: int, reach: float) -> list[int]:
         """Return the nodes near a node that links through near nodes reach, breadth first."""
         queue, known, found = deque([new]), {new}, []
         while queue:
@@ -139,30 +129,26 @@ class SlamToolboxGraph:
     def _near_chains(self, new: int) -> list[list[int]]:
         """Return runs of consecutive nodes near a node, each around a linked one, without it."""
         c, used, chains = self._config, set[int](), list[list[int]]()
-        limit = c.link_scan_maximum_distance**2 + TOLERANCE
 
-        def run(indices: range) -> list[int]:
-            """Return the near nodes up to the first far one."""
-            near = []
-            for i in indices:
-                if not self._squared_distance(i, new) < limit:
-                    break
-                near.append(i)
-            return near
+        def is_near(i: int) -> bool:
+            return self._squared_distance(i, new) < c.link_scan_maximum_distance**2 + TOLERANCE
 
-        for i in self._linked(new, c.link_scan_maximum_distance):
+        for i in self._reach(new, c.link_scan_maximum_distance):
             if i == new or i in used:
                 continue
-            chain = [*reversed(run(range(i - 1, -1, -1))), i, *run(range(i + 1, new + 1))]
+            before, after = (
+                takewhile(is_near, indices) for indices in (range(i - 1, -1, -1), range(i + 1, new + 1))
+            )
+            chain = [*reversed([*before]), i, *after]
             used.update(chain)
             if new not in chain and len(chain) >= c.loop_match_minimum_chain_size:
                 chains.append(chain)
         return chains
 
     def _loop_chain(self, new: int, start: int) -> tuple[list[int], int]:
-        """Return the next run of near nodes that no links reach, and the node at which the search goes on."""
+        """Return the next run of near nodes that no links reach, and the node after it."""
         c, chain = self._config, list[int]()
-        linked = set(self._linked(new, c.loop_search_maximum_distance))
+        linked = set(self._reach(new, c.loop_search_maximum_distance))
         for i in range(start, len(self.nodes)):
             if self._squared_distance(i, new) < c.loop_search_maximum_distance**2 + TOLERANCE:
                 if i in linked:
@@ -179,23 +165,25 @@ class SlamToolboxGraph:
         """Move all nodes but the first to the solution, from the last one on."""
         x = np.array(self._solution)
         problem = _GraphProblem(x[0], PoseConstraints.stack(list(self.links.values())))
-        x[1:] = minimize(problem, x[1:].ravel(), ITERATIONS, options=SOLVER, move=_moved).reshape(-1, 3)
+        x[1:] = minimize(problem, x[1:].ravel(), ITERATIONS, options=SOLVER, move=_take_step).reshape(-1, 3)
         self._solution = list(x)
         for node, pose in zip(self.nodes, x.tolist(), strict=True):
-            node.pose = Pose2(*pose)
+            node.place(Pose2(*pose))
 
 
-def weighted_mean(matches: Sequence[Match]) -> Pose2:
-    """Return the mean of the matches by their covariances, with the plain mean of their headings."""
+def weighted_mean(matches: Sequence[SensorMatch]) -> Pose2:
+    """Return the mean of the matches by their covariances; headings count alike."""
     informations = [np.linalg.inv(match.covariance) for match in matches]
     mean = np.linalg.inv(sum(informations, np.zeros((3, 3)))) @ sum(
         (W @ m.sensor.as_array() for W, m in zip(informations, matches, strict=True)), np.zeros(3)
     )
     headings = np.array([match.sensor.yaw for match in matches])
-    return Pose2(float(mean[0]), float(mean[1]), float(np.arctan2(np.sin(headings).sum(), np.cos(headings).sum())))
+    return Pose2(
+        float(mean[0]), float(mean[1]), float(np.arctan2(np.sin(headings).sum(), np.cos(headings).sum()))
+    )
 
 
-def _moved(x: FloatArray, step: FloatArray) -> FloatArray:
+def _take_step(x: FloatArray, step: FloatArray) -> FloatArray:
     """Return the poses (3 n,) after a step, their headings wrapped."""
     moved = x + step
     moved[2::3] = wrap_angles(moved[2::3])
@@ -220,12 +208,15 @@ class _GraphProblem:
         a, b, own = links.a, links.b, np.arange(len(poses))
         rows, cols = np.concatenate((own, a, b)), np.concatenate((own, b, a))
         values = np.concatenate((blocks, cross, cross.transpose(0, 2, 1)))
-        i, j = np.broadcast_arrays(3 * rows[:, None, None] + np.arange(3)[:, None], 3 * cols[:, None, None] + np.arange(3))
+        i = np.repeat(3 * rows, 9).reshape(-1, 3, 3) + np.arange(3)[:, None]
+        j = np.repeat(3 * cols, 9).reshape(-1, 3, 3) + np.arange(3)
         H = sparse.csc_matrix((values.ravel(), (i.ravel(), j.ravel())))[3:, 3:]
         return NormalEquations(cost, gradient[1:].ravel(), H.diagonal(), H)
 
     def solve(self, equations: NormalEquations, damping: FloatArray) -> FloatArray:
         """Return the damped step."""
         H = sparse.csc_matrix(equations.hessian + sparse.diags(damping))
-        step: FloatArray = -splu(H, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(equations.gradient)
+        step: FloatArray = -splu(H, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(
+            equations.gradient
+        )
         return step

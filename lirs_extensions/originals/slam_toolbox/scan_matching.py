@@ -1,14 +1,12 @@
-"""Correlative scan matching of the original: two lattices of candidates on a grid of blurred hits.
+"""Correlative scan matching of the original on a grid of blurred hits.
 
-Olson 2009, "Real-time correlative scan matching", as the authors' program has it: the candidates of each
-stage are tried one and all, the response is the mean of the blurred hits at the ends of the beams.
+Olson 2009, as the program has it: the candidates of two lattices are tried one and all; the response is the
+mean of the blurred hits at the ends of the beams.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,88 +21,61 @@ EQUAL = 1e-6
 """Responses are equal up to this difference."""
 PENALTY_GAIN = 0.2
 """Share of a squared distance or turn, in the variances, by which the response is lowered."""
-MARGIN = 0.1
+COVARIANCE_MARGIN = 0.1
 """Candidates so far below the best response enter the covariance."""
 EXPANSION, EXPANSIONS = math.radians(20), 3
 """Larger turn of each repeated match, radians, and largest number of them."""
 LARGEST_VARIANCE = 500.0
 """Variance of a position without any response, square meters."""
+MOST_CORRELATION = 1 - 1e-6
+"""Largest correlation of x and y, so that a line of candidates has an information."""
 SPACING = 0.1
 """Distance of points along a scan that decide together on which side of a wall it was seen, meters."""
 
 
 class ScanNode:
-    """Scan with its pose in the map.
+    """Scan at its place in the map.
 
     Attributes:
         odometry: `T_odom_base`.
-        mount: `T_base_sensor`.
         ranges: (n,) all beams, infinite without return, meters.
-        angles: (n,) in the sensor's frame, radians.
+        returns: (k, 2) ends of the beams with return in the sensor's frame.
+        pose: `T_map_base` as known now; `sensor` is `T_map_sensor`.
+        points: (n, 2) ends of all beams in the map frame, not finite without return.
+        center: Mean of the hits in range, else the sensor's place, in the map frame.
     """
 
     def __init__(self, scan: LaserScan, odometry: Pose2, config: SlamToolboxOriginalConfig) -> None:
-        self.stamp, self.odometry = scan.stamp, odometry
-        self.mount = scan.T_base_laser.to_pose2()
+        self.stamp, self.odometry, self.mount = scan.stamp, odometry, scan.T_base_laser.to_pose2()
         r = scan.ranges.astype(np.float64)
-        known = np.isfinite(r) & (r < config.no_return_share * scan.range_max)
+        # In float32, as the ranges: in a log with millimeters some are equal to the limit.
+        known = np.isfinite(r) & (scan.ranges < np.float32(config.no_return_share * scan.range_max))
         self.ranges = np.where(known, r, np.inf)
         # A LaserScan message holds float32.
         first, step = (float(np.float32(angle)) for angle in (scan.angle_min, scan.angle_increment))
-        self.angles = first + step * np.arange(len(r))
+        self._angles = first + step * np.arange(len(r))
+        x, y = r[known] * np.cos(self._angles[known]), r[known] * np.sin(self._angles[known])
+        self.returns = np.stack((x, y), axis=-1)
         nearest = max(scan.range_min, config.min_laser_range)
-        self._central = (r >= nearest) & known & (r <= config.max_laser_range)
-        self._by_center = config.use_scan_barycenter
-        self.pose = odometry
+        self._central = known & (r >= nearest) & (r <= config.max_laser_range) & config.use_scan_barycenter
+        self.place(odometry)
 
-    @property
-    def pose(self) -> Pose2:
-        """Pose `T_map_base` as known now."""
-        return self._pose
-
-    @pose.setter
-    def pose(self, pose: Pose2) -> None:
-        self._pose = pose
-        for name in ("points", "center"):
-            self.__dict__.pop(name, None)
-
-    @property
-    def sensor(self) -> Pose2:
-        """Pose `T_map_sensor`."""
-        return self._pose @ self.mount
+    def place(self, pose: Pose2) -> None:
+        """Set the pose `T_map_base`."""
+        self.pose, self.sensor = pose, pose @ self.mount
+        x, y, angles = self.sensor.x, self.sensor.y, self.sensor.yaw + self._angles
+        self.points = np.stack((x + self.ranges * np.cos(angles), y + self.ranges * np.sin(angles)), axis=-1)
+        self.center: tuple[float, float] = x, y
+        if self._central.any():
+            self.center = tuple(self.points[self._central].mean(axis=0).tolist())
 
     def base_at(self, sensor: Pose2) -> Pose2:
         """Return `T_map_base` of a pose of the sensor."""
         return sensor @ self.mount.inverse()
 
-    @cached_property
-    def points(self) -> FloatArray:
-        """(n, 2) ends of all beams in the map frame, not finite without return."""
-        sensor = self.sensor
-        angles = sensor.yaw + self.angles
-        return np.stack(
-            (sensor.x + self.ranges * np.cos(angles), sensor.y + self.ranges * np.sin(angles)), axis=-1
-        )
 
-    @cached_property
-    def center(self) -> tuple[float, float]:
-        """Mean of the hits in range, else the sensor's place, in the map frame."""
-        sensor = self.sensor
-        if not self._by_center or not self._central.any():
-            return sensor.x, sensor.y
-        x, y = self.points[self._central].mean(axis=0).tolist()
-        return x, y
-
-    @cached_property
-    def returns(self) -> FloatArray:
-        """(k, 2) ends of the beams with return in the sensor's frame."""
-        known = np.isfinite(self.ranges)
-        r, angles = self.ranges[known], self.angles[known]
-        return np.stack((r * np.cos(angles), r * np.sin(angles)), axis=-1)
-
-
-class Match(NamedTuple):
-    """Sensor's pose in the map frame, its response, 0 to 1, and its covariance (3, 3)."""
+class SensorMatch(NamedTuple):
+    """Sensor's pose in the map frame, response (0 to 1), and covariance (3, 3)."""
 
     sensor: Pose2
     response: float
@@ -112,15 +83,11 @@ class Match(NamedTuple):
 
 
 class Lattice(NamedTuple):
-    """Candidates of one stage: their offsets from `center` (n,), and their responses.
-
-    The responses (y, x, heading) are without and with the penalty.
-    """
+    """Candidates of one stage: offsets from a center (n,), and responses (y, x, heading)."""
 
     center: Pose2
     shifts: FloatArray
     turns: FloatArray
-    raw: FloatArray
     responses: FloatArray
 
     @property
@@ -143,33 +110,39 @@ class Lattice(NamedTuple):
         return Pose2(x / n, y / n, math.atan2(s / n, c / n))
 
     def covariance(self, result: Pose2) -> FloatArray:
-        """Return the (3, 3) covariance of x and y; that of the heading is the step's."""
-        best, step = self.best, float(self.shifts[1] - self.shifts[0])
-        covariance = np.diag((LARGEST_VARIANCE, LARGEST_VARIANCE, 4 * float(self.turns[1] - self.turns[0]) ** 2))
+        """Return the covariance (3, 3) of x and y, for the heading the step's."""
+        best, step, turn = (
+            self.best,
+            *(float(offsets[1] - offsets[0]) for offsets in (self.shifts, self.turns)),
+        )
+        covariance = np.diag((LARGEST_VARIANCE, LARGEST_VARIANCE, 4 * turn**2))
         if best < EQUAL:
             return covariance
         by_place = self.responses.max(axis=2)
-        w = np.where(by_place >= best - MARGIN, by_place, 0.0)
+        w = np.where(by_place >= best - COVARIANCE_MARGIN, by_place, 0.0)
         dx = (self.shifts - (result.x - self.center.x))[None]
         dy = (self.shifts - (result.y - self.center.y))[:, None]
         xx, xy, yy = (float((w * d).sum() / w.sum()) for d in (dx * dx, dx * dy, dy * dy))
-        least = 0.1 * step**2
-        covariance[:2, :2] = np.array(((max(xx, least), xy), (xy, max(yy, least)))) / best
+        xx, yy = max(xx, 0.1 * step**2), max(yy, 0.1 * step**2)
+        most = MOST_CORRELATION * math.sqrt(xx * yy)
+        xy = min(max(xy, -most), most)
+        covariance[:2, :2] = np.array(((xx, xy), (xy, yy))) / best
         return covariance
 
 
-class ScanMatcher:
-    """Matcher of a scan with others, on a grid around the pose from which it starts."""
+class CorrelativeMatcher:
+    """Matcher of a scan with others, on a grid around the start."""
 
-    def __init__(
-        self, config: SlamToolboxOriginalConfig, dimension: float, resolution: float, deviation: float
-    ) -> None:
-        """Search a square of an edge `dimension` on cells of `resolution`; all in meters."""
+    def __init__(self, config: SlamToolboxOriginalConfig, grid: str) -> None:
+        """Search with the parameters whose names begin with that of the grid."""
+        dimension, resolution, deviation = (
+            getattr(config, f"{grid}_{name}") for name in ("dimension", "resolution", "smear_deviation")
+        )
         self._config, self._resolution = config, resolution
-        searched = _rounded(dimension / resolution) + 1
+        searched = _steps(dimension, resolution) + 1
         self._reach = 0.5 * (searched - 1) * resolution
         self._size = searched + 2 * math.ceil(config.max_laser_range / resolution)
-        half = _rounded(2 * deviation / resolution)
+        half = _steps(2 * deviation, resolution)
         self._border = half + 1
         steps = np.arange(-half, half + 1) * resolution
         blur = np.exp(-0.5 * np.square(np.hypot(steps, steps[:, None]) / deviation))
@@ -184,36 +157,27 @@ class ScanMatcher:
         return self._cells.nbytes
 
     def match(
-        self, node: ScanNode, base: Sequence[ScanNode], start: Pose2, *, penalize: bool = False, fine: bool = True
-    ) -> Match:
-        """Match a node with others from a pose of its sensor.
-
-        Args:
-            penalize: Whether responses are lowered with the distance and the turn from the start.
-            fine: Whether the second stage follows.
-        """
-        c = self._config
+        self, node: ScanNode, base: list[ScanNode], start: Pose2, *, penalize: bool = False, fine: bool = True
+    ) -> SensorMatch:
+        """Match a node with others, from a pose of its sensor, in a coarse stage and maybe a fine one."""
+        c, step = self._config, 2 * self._resolution
         self._draw(base, start)
-        step, turn = 2 * self._resolution, c.coarse_search_angle_offset
-        lattice = self._search(node, start, (self._reach, step), (turn, c.coarse_angle_resolution), penalize)
-        for k in range(EXPANSIONS if c.use_response_expansion else 0):
+        for k in range(1 + EXPANSIONS * c.use_response_expansion):
+            turns = _offsets(c.coarse_search_angle_offset + k * EXPANSION, c.coarse_angle_resolution)
+            lattice = self._search(node, start, _offsets(self._reach, step), turns, penalize)
             if lattice.best > EQUAL:
                 break
-            wider = turn + (k + 1) * EXPANSION
-            lattice = self._search(
-                node, start, (self._reach, step), (wider, c.coarse_angle_resolution), penalize
-            )
         result = lattice.result
         covariance = lattice.covariance(result)
         if fine:
-            angular = 0.5 * c.coarse_angle_resolution, c.fine_search_angle_offset
-            lattice = self._search(node, result, (0.5 * step, self._resolution), angular, penalize)
+            turns = _offsets(0.5 * c.coarse_angle_resolution, c.fine_search_angle_offset)
+            lattice = self._search(node, result, _offsets(0.5 * step, self._resolution), turns, penalize)
             result = lattice.result
             covariance[2, 2] = self._heading_variance(node, lattice, result)
-        return Match(result, min(lattice.best, 1.0), covariance)
+        return SensorMatch(result, min(lattice.best, 1.0), covariance)
 
-    def _draw(self, base: Sequence[ScanNode], start: Pose2) -> None:
-        """Draw the hits of nodes that are seen from their front, around a pose in the middle cell."""
+    def _draw(self, base: list[ScanNode], start: Pose2) -> None:
+        """Draw the hits that are seen from their front, around a pose in the middle cell."""
         half = 0.5 * (self._size - 1) * self._resolution
         self._corner = start.x - half, start.y - half
         self._cells.fill(0)
@@ -222,42 +186,36 @@ class ScanMatcher:
             _draw_blurred(self._cells, self._kernel, visible, self._corner, 1 / self._resolution, self._size)
 
     def _search(
-        self,
-        node: ScanNode,
-        center: Pose2,
-        linear: tuple[float, float],
-        angular: tuple[float, float],
-        penalize: bool,
+        self, node: ScanNode, center: Pose2, shifts: FloatArray, turns: FloatArray, penalize: bool
     ) -> Lattice:
-        """Return the responses of all candidates; `linear` and `angular` are largest offset and step."""
-        c, shifts, turns = self._config, _offsets(*linear), _offsets(*angular)
+        """Return the responses of all candidates around a pose."""
+        c = self._config
         raw = self._raw(node, center.x + shifts, center.y + shifts, center.yaw + turns)
         if not penalize:
-            return Lattice(center, shifts, turns, raw, raw)
+            return Lattice(center, shifts, turns, raw)
         square = np.square(shifts)
         away = square[:, None] + square
         near = 1 - PENALTY_GAIN * away / c.distance_variance_penalty**2
         ahead = 1 - PENALTY_GAIN * np.square(turns) / c.angle_variance_penalty**2
-        factor = np.maximum(near, c.minimum_distance_penalty)[:, :, None] * np.maximum(
-            ahead, c.minimum_angle_penalty
-        )
-        return Lattice(center, shifts, turns, raw, raw * factor)
+        factor = np.maximum(near, c.minimum_distance_penalty)[:, :, None]
+        factor = factor * np.maximum(ahead, c.minimum_angle_penalty)
+        return Lattice(center, shifts, turns, raw * factor)
 
     def _raw(self, node: ScanNode, x: FloatArray, y: FloatArray, headings: FloatArray) -> FloatArray:
         """Return responses (y, x, heading) without penalty."""
         scale, border = 1 / self._resolution, self._border
-        cols, rows = (
-            _rounded_all((at - corner) * scale) + border for at, corner in zip((x, y), self._corner, strict=True)
-        )
+        cols = _round_away((x - self._corner[0]) * scale) + border
+        rows = _round_away((y - self._corner[1]) * scale) + border
         sums = np.zeros((len(headings), len(y), len(x)), np.int32)
         _sum_hits(self._cells, node.returns, headings, rows, cols, scale, sums)
-        return sums.transpose(1, 2, 0) / (OCCUPIED * len(node.ranges))
+        responses: FloatArray = sums.transpose(1, 2, 0) / (OCCUPIED * max(1, len(node.ranges)))
+        return responses
 
     def _heading_variance(self, node: ScanNode, fine: Lattice, result: Pose2) -> float:
         """Return the variance of the heading at the result's cell, square radians."""
         headings = fine.center.yaw + fine.turns
         raw = self._raw(node, np.array((result.x,)), np.array((result.y,)), headings).ravel()
-        w = np.where(raw >= fine.best - MARGIN, raw, 0.0)
+        w = np.where(raw >= fine.best - COVARIANCE_MARGIN, raw, 0.0)
         step2 = float(fine.turns[1] - fine.turns[0]) ** 2
         if w.sum() <= EQUAL:
             return 1000 * step2
@@ -265,28 +223,28 @@ class ScanMatcher:
         return (total if total >= EQUAL else step2) / float(w.sum())
 
 
-def _rounded(value: float) -> int:
-    """Round a number of at least 0, halves up."""
-    return math.floor(value + 0.5)
+def _steps(length: float, step: float) -> int:
+    """Return the number of steps of a length, rounded."""
+    return math.floor(length / step + 0.5)
 
 
-def _rounded_all(values: FloatArray) -> IntArray:
+def _round_away(values: FloatArray) -> IntArray:
     """Round numbers, halves away from 0."""
-    rounded: IntArray = (np.sign(values) * np.floor(np.abs(values) + 0.5)).astype(np.int64)
-    return rounded
+    whole: IntArray = (np.sign(values) * np.floor(np.abs(values) + 0.5)).astype(np.int64)
+    return whole
 
 
 def _offsets(most: float, step: float) -> FloatArray:
-    """Return the offsets of a lattice; where its width is no multiple of the step, 0 is none of them."""
-    offsets: FloatArray = -most + step * np.arange(_rounded(2 * most / step) + 1)
+    """Return the offsets of a lattice; not each has 0 among them."""
+    offsets: FloatArray = -most + step * np.arange(_steps(2 * most, step) + 1)
     return offsets
 
 
 @njit
 def seen_from(points: Any, x: float, y: float) -> Any:
-    """Return which points (n, 2) of a scan show their front to a viewpoint; infinite ones count as IEEE says.
+    """Return which points (n, 2) of a scan show their front to a viewpoint.
 
-    The end of the scan after its last anchor is never used.
+    Infinite ones count as IEEE's arithmetic has it; the end of the scan after the last anchor never does.
     """
     seen = np.zeros(len(points), np.bool_)
     anchor, since = 0, 0
@@ -301,7 +259,7 @@ def seen_from(points: Any, x: float, y: float) -> Any:
 
 @njit
 def _draw_blurred(cells: Any, kernel: Any, points: Any, corner: Any, scale: float, size: int) -> None:
-    """Raise the cells around points; a point in a cell of the largest value changes nothing."""
+    """Raise the cells around points, unless a point's cell is full."""
     half = len(kernel) // 2
     for i in range(len(points)):
         u, v = (points[i, 0] - corner[0]) * scale, (points[i, 1] - corner[1]) * scale
