@@ -21,6 +21,16 @@ from slam_baselines.occupancy_map import OccupancyMap, bounding_box
 
 __all__ = ["SlamToolboxOriginalConfig", "SlamToolboxOriginalMapper"]
 
+WARM_UP = {
+    "minimum_travel_distance": 0.2,
+    "use_scan_barycenter": False,
+    "link_scan_maximum_distance": 0.45,
+    "loop_search_maximum_distance": 0.5,
+    "loop_match_minimum_chain_size": 2,
+    "loop_search_space_dimension": 2.0,
+    "loop_match_minimum_response_coarse": 0.1,
+}
+"""Configuration with which a short drive closes a loop."""
 GATE_SHARE = 0.8
 """Share of the squared travel distance after which a scan is let in."""
 FIRST_SCANS = 5

@@ -291,9 +291,8 @@ def _sum_hits(cells: Any, returns: Any, headings: Any, rows: Any, cols: Any, sca
             for j in range(len(rows)):
                 at = offset + rows[j] * stride
                 for m in range(len(cols)):
-                    cell = at + cols[m]
-                    if whole or 0 <= cell < len(flat):
-                        sums[k, j, m] += flat[cell]
+                    if whole or 0 <= at + cols[m] < len(flat):
+                        sums[k, j, m] += flat[np.uintp(at + cols[m])]
 
 
 @njit(inline="always")

@@ -29,6 +29,7 @@ from lirs_extensions.originals.cartographer.probability_grid import (
 )
 from lirs_extensions.originals.cartographer.scan_matching import (
     NormalEquations,
+    SolverOptions,
     _MatchProblem,
     interpolate_bicubic,
     minimize,
@@ -163,15 +164,19 @@ class Valley:
         return -np.linalg.solve(equations.hessian + np.diag(damping), equations.gradient)
 
 
-@pytest.mark.parametrize("nonmonotonic", [False, True])
-def test_the_solver_finds_the_bottom_of_a_valley(nonmonotonic: bool) -> None:
-    found = minimize(Valley(), np.array((-1.2, 1.0)), 100, nonmonotonic=nonmonotonic)
-    np.testing.assert_allclose(found, 1.0, atol=1e-4)
-    costs = [
-        Valley().evaluate(minimize(Valley(), np.array((-1.2, 1.0)), n, nonmonotonic=nonmonotonic)).cost
-        for n in range(20)
-    ]
+@pytest.mark.parametrize("nonmonotonic", [0, 5])
+def test_the_solver_finds_the_bottom_of_a_valley(nonmonotonic: int) -> None:
+    start, options = np.array((-1.2, 1.0)), SolverOptions(nonmonotonic=nonmonotonic)
+    np.testing.assert_allclose(minimize(Valley(), start, 100, options=options), 1.0, atol=1e-4)
+    costs = [Valley().evaluate(minimize(Valley(), start, n, options=options)).cost for n in range(20)]
     assert all(b <= a for a, b in pairwise(costs))
+
+
+def test_the_solver_takes_a_step_before_one_can_be_too_short() -> None:
+    start, tolerant = np.array((-1.2, 1.0)), SolverOptions(parameter_tolerance=10.0)
+    first = minimize(Valley(), start, 1)
+    assert not np.array_equal(first, start)
+    np.testing.assert_array_equal(minimize(Valley(), start, 100, options=tolerant), first)
 
 
 def test_the_library_s_sort_and_random_numbers() -> None:
