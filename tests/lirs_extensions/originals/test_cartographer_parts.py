@@ -174,8 +174,8 @@ def test_the_solver_finds_the_bottom_of_a_valley(nonmonotonic: int) -> None:
 
 def test_the_solver_takes_a_step_before_one_can_be_too_short() -> None:
     start, tolerant = np.array((-1.2, 1.0)), SolverOptions(parameter_tolerance=10.0)
-    first = minimize(Valley(), start, 1)
-    assert not np.array_equal(first, start)
+    points = [minimize(Valley(), start, n) for n in range(9)]
+    first = next(point for point in points if not np.array_equal(point, start))
     np.testing.assert_array_equal(minimize(Valley(), start, 100, options=tolerant), first)
 
 
