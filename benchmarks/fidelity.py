@@ -4,17 +4,19 @@
 
 Every run has scans, IMU and truth of a simulated Husky, and the trajectories that the C++ originals made of
 the scans: HectorSLAM's core (0.05 m, odometry as the start of the match), OpenSLAM's GMapping (30 particles,
-its defaults, three seeds) and Google's Cartographer (2D, its defaults, odometry, no IMU; "search" with
-use_online_correlative_scan_matching). The table holds ATEs in meters, of the odometry, each original, the
-same method as published here and terrain-aware. Below: Spearman's rank correlation with the original, runs
-within a factor of two of it and on the same side of the odometry's ATE, by medians of the seeds. Last, local
-SLAM of Cartographer pose by pose, which is deterministic.
+its defaults, three seeds), Google's Cartographer (2D, its defaults, odometry, no IMU; "search" with
+use_online_correlative_scan_matching) and slam_toolbox's Karto (its defaults). The table holds ATEs in meters,
+of the odometry, each original, the same method as published here and terrain-aware. Below: Spearman's rank
+correlation with the original, runs within a factor of two of it and on the same side of the odometry's ATE,
+by medians of the seeds. Last, pose by pose, what is deterministic: local SLAM of Cartographer, and
+slam_toolbox as known online, with its CPU time.
 """
 
 from __future__ import annotations
 
 import gzip
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -36,14 +38,17 @@ from lirs_wct import Trajectory
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.formats.drive_files import read_imu, read_tum
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.geometry import LaserScan
+from lirs_wct.geometry import LaserScan, Pose2
 from lirs_wct.option import read_numbers
+from slam_baselines.mapper import warm_up
 
+TOOLBOX = "slam_toolbox_original"
 ORIGINALS = {
     "C++ Hector": "original_hector.tum.gz",
     "C++ GMapping": "original_gmapping_s*.tum.gz",
     "C++ Cartographer": "original_cartographer.tum.gz",
     "C++ Cartographer, search": "original_cartographer_correlative.tum.gz",
+    "C++ slam_toolbox": "original_slam_toolbox.tum.gz",
 }
 """Columns of the originals, and their files in the folder of a run."""
 PUBLISHED = {
@@ -51,6 +56,7 @@ PUBLISHED = {
     "gmapping_original": "C++ GMapping",
     "cartographer_original": "C++ Cartographer",
     SEARCH: "C++ Cartographer, search",
+    TOOLBOX: "C++ slam_toolbox",
 }
 """Methods as published, and the column that they are compared with."""
 SEEDED = ("gmapping_original", "gmapping")
@@ -60,6 +66,7 @@ COLUMNS = (
     *("C++ GMapping", "gmapping_original", "gmapping"),
     *("C++ Cartographer", "cartographer_original", "cartographer"),
     *("C++ Cartographer, search", SEARCH),
+    *("C++ slam_toolbox", TOOLBOX),
 )
 QUICK = 3
 """Runs of --quick."""
@@ -96,6 +103,13 @@ def main() -> None:
     for run in runs:
         apart = " / ".join(f"{distance:.6f}" for distance in local_distances(run))
         print(f"local SLAM, {run.name}: {apart} m (after 1 s / median / largest)")
+    warm_up(TOOLBOX)
+    for run in runs:
+        if (run / ORIGINALS["C++ slam_toolbox"]).exists():
+            apart, by_scan, by_node = online_distance(run)
+            print(
+                f"{TOOLBOX}, {run.name}: {apart:.1e} m, CPU {by_scan:.2f} ms a scan, {by_node:.1f} ms a node"
+            )
 
 
 def ates(run: Path, seeds: Sequence[int], noise: float = 0.0) -> Row:
@@ -135,6 +149,18 @@ def local_distances(run: Path) -> tuple[float, float, float]:
     apart = np.hypot(*(np.array([(p.x, p.y) for p in poses]) - original).T)
     first = apart[log.stamps <= log.stamps[0] + 1]
     return float(first.max()), float(np.median(apart)), float(apart.max())
+
+
+def online_distance(run: Path) -> tuple[float, float, float]:
+    """Return the largest distance from slam_toolbox, meters, and CPU milliseconds a scan and a node."""
+    log, scans = recorded(run)
+    mapper, begun = make(TOOLBOX, 1), time.process_time()
+    poses = [mapper.update(*pair, None) for pair in zip(scans, log.odometry, strict=True)]
+    spent = 1e3 * (time.process_time() - begun)
+    start = log.odometry[0] or Pose2()
+    original = unpacked(run / ORIGINALS["C++ slam_toolbox"]).positions[:, :2]
+    apart = np.hypot(*(start.apply([(p.x, p.y) for p in poses]) - original).T)
+    return float(apart.max()), spent / len(scans), spent / mapper.stats.used
 
 
 def unpacked(path: Path) -> Trajectory:

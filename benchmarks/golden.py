@@ -121,7 +121,7 @@ DIGESTED = (
     *("scans.clf.gz", "imu.csv.gz", "commands.csv", "collisions.csv"),
 )
 MAPPERS = "hector,gmapping,cartographer"
-ORIGINALS = "hector_original,gmapping_original,cartographer_original"
+ORIGINALS = "hector_original,gmapping_original,cartographer_original,slam_toolbox_original"
 EXCLUDED = (
     "versions*",
     "machine*",

@@ -155,6 +155,7 @@ def test_every_checked_field_names_what_is_illegal(config: Any) -> None:
         ("hector", "lost_score", 0.9),
         ("hector", "update_factor_free", 0.5),
         ("hector_original", "update_factor_occupied", 1.0),
+        ("slam_toolbox_original", "loop_match_minimum_response_fine", 1.5),
     ],
 )
 def test_a_parameter_outside_its_interval_is_named(mapper: str, parameter: str, value: float) -> None:

@@ -9,7 +9,7 @@ from lirs_wct import Imu
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.synthetic import drive_room, loop, room_scan
 
-NAMES = ("hector_original", "gmapping_original", "cartographer_original")
+NAMES = ("hector_original", "gmapping_original", "cartographer_original", "slam_toolbox_original")
 
 
 @pytest.mark.parametrize(
@@ -19,6 +19,7 @@ NAMES = ("hector_original", "gmapping_original", "cartographer_original")
         ("hector_original", {"odometry": False}, 0.06),
         ("gmapping_original", {}, 0.15),
         ("cartographer_original", {}, 0.15),
+        ("slam_toolbox_original", {}, 0.15),
         pytest.param("cartographer_original", {"odometry": False, "n": 480}, 0.2, marks=pytest.mark.slow),
     ],
 )

@@ -287,7 +287,7 @@ def test_a_mapper_of_your_own(room: Path, tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(MapperError, match=r"must return a Pose2, got NoneType"):
         map_log(room / "short.clf", mapper="wct_bad_log_mapper:Still", second="none")
     with pytest.raises(
-        ConfigError, match=r"resolution can be given for hector, .*, cartographer_original only"
+        ConfigError, match=r"resolution can be given for hector, .*, slam_toolbox_original only"
     ):
         map_log(room / "room.clf", mapper="wct_own_log_mapper:Still", resolution=0.1)
 
