@@ -28,7 +28,7 @@ from lirs_wct.option import (
     positive,
     within,
 )
-from slam_baselines.mapper import MAPPERS, file_name, read_parameters
+from slam_baselines.mapper import MAPPERS, file_name, parameter_text, read_parameters
 
 Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
@@ -91,8 +91,9 @@ def read_drivers(text: str, flag: str = "--driver") -> tuple[str, ...]:
 
 
 def read_parameter_sets(text: str, flag: str = "--parameters") -> tuple[str, ...]:
-    """Return the sets of a list such as `none;srr=0.1,stt=0.2`, without repetitions."""
-    return tuple(dict.fromkeys("" if part.strip() == "none" else part.strip() for part in text.split(";")))
+    """Return the sets of a list such as `none;srr=0.1,stt=0.2;FILE.yaml`, without repetitions."""
+    parts = ("" if part.strip() == "none" else part.strip() for part in text.split(";"))
+    return tuple(dict.fromkeys(parameter_text(part, flag) for part in parts))
 
 
 def _known_noise(value: str, label: str) -> None:
@@ -142,9 +143,9 @@ class RunConfig(Options):
     )
     parameters: str = axis(
         "",
-        "Parameters of the mapper, fields of its configuration; `none;a=1` compares its defaults with a=1.",
+        "Parameters of the mapper, or slam_toolbox's FILE.yaml; `none;a=1` compares the defaults with a=1.",
         reader=read_parameter_sets,
-        metavar="NAME=VALUE,...",
+        metavar="NAME=VALUE,...|FILE.yaml",
         check=lambda value, label: read_parameters(value, label) and None,
         on_page=False,
     )
@@ -373,8 +374,9 @@ class MapConfig(LogOptions):
     )
     parameters: str = option(
         "",
-        "Parameters of the mapper, fields of its configuration.",
-        metavar="NAME=VALUE,...",
+        "Parameters of the mapper, fields of its configuration, or slam_toolbox's FILE.yaml.",
+        reader=parameter_text,
+        metavar="NAME=VALUE,...|FILE.yaml",
         check=lambda value, label: read_parameters(value, label) and None,
     )
     mapper_python: str | None = option(

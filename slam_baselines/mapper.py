@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from importlib.util import find_spec
 from numbers import Integral, Real
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, TypeGuard
 
@@ -373,6 +374,14 @@ def read_parameters(text: str, label: str = "--parameters") -> dict[str, Any]:
             with suppress(ValueError):
                 values[name] = kind(value)
     return values
+
+
+def parameter_text(text: str, label: str = "--parameters") -> str:
+    """Return parameters as a text; of a ROS parameter file those that it changes."""
+    if not text.endswith((".yaml", ".yml")):
+        return text
+    changed: str = importlib.import_module(MAPPERS["slam_toolbox_original"].module).read_ros_file(Path(text))
+    return changed
 
 
 class Stopwatch:

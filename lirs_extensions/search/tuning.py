@@ -248,7 +248,9 @@ def ros_text(drives: TuneDrives, tuned: Case) -> tuple[str, str]:
     }
     if mapper.startswith("cartographer"):
         return "tuned.lua", "".join(f"{name} = {value:g}\n" for name, value in values.items())
-    node = "slam_gmapping" if mapper.startswith("gmapping") else "hector_mapping"
+    method = mapper.removesuffix("_original")
+    node = {"gmapping": "slam_gmapping", "hector": "hector_mapping"}.get(method, method)
+    values = read_parameters(drives.target.parameters) | values
     return "tuned.yaml", yaml.safe_dump({node: {"ros__parameters": values}}, sort_keys=False)
 
 
@@ -453,6 +455,19 @@ TUNABLE: Mapping[str, tuple[Tunable, ...]] = {
         _lua(f"{_GRAPH}.constraint_builder.min_score", 0.4, 0.8, log=False),
         _lua(f"{_GRAPH}.optimization_problem.odometry_translation_weight", 1e2, 1e6),
         _lua(f"{_GRAPH}.optimization_problem.odometry_rotation_weight", 1e2, 1e6),
+    ),
+    "slam_toolbox_original": (
+        Tunable("minimum_travel_distance", 0.1, 1.0),
+        Tunable("minimum_travel_heading", 0.1, 1.0),
+        Tunable("scan_buffer_size", 3, 70),
+        Tunable("link_scan_maximum_distance", 0.5, 5.0),
+        Tunable("loop_search_maximum_distance", 1.0, 10.0),
+        Tunable("loop_match_minimum_response_coarse", 0.15, 0.6, log=False),
+        Tunable("loop_match_minimum_response_fine", 0.2, 0.7, log=False),
+        Tunable("correlation_search_space_dimension", 0.1, 1.0),
+        Tunable("correlation_search_space_smear_deviation", 0.02, 0.1),
+        Tunable("distance_variance_penalty", 0.1, 2.0),
+        Tunable("angle_variance_penalty", 0.1, 2.0),
     ),
 }
 """Parameters by mapper."""

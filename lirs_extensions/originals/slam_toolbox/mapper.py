@@ -7,16 +7,21 @@ reports that it is lost.
 
 from __future__ import annotations
 
+import warnings
+from pathlib import Path
+
 import numpy as np
 
 from lirs_extensions.originals.slam_toolbox.config import SlamToolboxOriginalConfig
 from lirs_extensions.originals.slam_toolbox.pose_graph import TOLERANCE, SlamToolboxGraph
 from lirs_extensions.originals.slam_toolbox.scan_matching import ScanNode
+from lirs_wct.errors import SourceError, reason_of
+from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from slam_baselines.cartographer.loop_closure import LoopEvent
 from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.leveling import LeveledScan, ScanLeveler
-from slam_baselines.mapper import MapperStats, PlanarMapper
+from slam_baselines.mapper import MapperStats, PlanarMapper, make_mapper, parameters
 from slam_baselines.occupancy_map import OccupancyMap, bounding_box
 
 __all__ = ["SlamToolboxOriginalConfig", "SlamToolboxOriginalMapper"]
@@ -154,3 +159,27 @@ class SlamToolboxOriginalMapper(PlanarMapper):
             del running[0]
         if c.use_scan_matching and c.do_loop_closing:
             graph.close_loops(running[-1])
+
+
+def read_ros_file(path: Path) -> str:
+    """Return the parameters of a ROS file that differ from the defaults, as `NAME=VALUE,...`.
+
+    Those that have no effect here are named in a warning.
+
+    Raises:
+        SourceError: the file cannot be read, holds none of slam_toolbox, or one with an illegal value.
+    """
+    name = SlamToolboxOriginalMapper.name
+    try:
+        given = dict(load_yaml(path.read_text(encoding="utf-8"))["slam_toolbox"]["ros__parameters"])
+        known = {key: value for key, value in given.items() if key in parameters(name)}
+        make_mapper(name, **known)
+    except (KeyError, TypeError) as error:
+        raise SourceError(f"{path}: must hold `slam_toolbox: ros__parameters: NAME: VALUE`") from error
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path}: {reason_of(error)}") from error
+    if ignored := sorted(map(str, given.keys() - known.keys())):
+        warnings.warn(f"{path}: without effect on {name}: {', '.join(ignored)}", stacklevel=2)
+    default = SlamToolboxOriginalConfig()
+    changed = {key: value for key, value in known.items() if value != getattr(default, key)}
+    return ",".join(f"{key}={str(value).lower()}" for key, value in changed.items())

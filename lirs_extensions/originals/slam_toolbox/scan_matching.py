@@ -236,7 +236,7 @@ def _round_away(values: FloatArray) -> IntArray:
 
 def _offsets(most: float, step: float) -> FloatArray:
     """Return the offsets of a lattice; not each has 0 among them."""
-    offsets: FloatArray = -most + step * np.arange(_steps(2 * most, step) + 1)
+    offsets: FloatArray = -most + step * np.arange(_steps(2 * most, step) + 1, dtype=np.float64)
     return offsets
 
 

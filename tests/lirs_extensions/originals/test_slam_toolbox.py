@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from lirs_envs.robots.robot import make_robot
 from lirs_extensions.originals.slam_toolbox.config import SlamToolboxOriginalConfig
@@ -20,10 +21,10 @@ from lirs_extensions.originals.slam_toolbox.scan_matching import (
     seen_from,
 )
 from lirs_wct import Pose2
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry import wrap_angle, wrap_angles
-from slam_baselines.mapper import make_mapper, room_pose, room_scan
+from slam_baselines.mapper import make_mapper, parameter_text, read_parameters, room_pose, room_scan
 from tests.lirs_extensions.originals.recorded import unpacked
 
 RUNS = ("simple-2", "medium-1", "medium-2", "advanced-1", "advanced-2", "willow-1")
@@ -184,3 +185,43 @@ def test_a_loop_is_closed_and_every_drive_is_the_same() -> None:
 def test_parameters_that_do_not_fit_are_refused(values: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         SlamToolboxOriginalConfig(**values)
+
+
+def test_a_parameter_file_of_the_ros_node_is_read(tmp_path: Path) -> None:
+    """Values that are the defaults are left out, so that equal runs have equal names."""
+    path = tmp_path / "online_sync.yaml"
+    values = {"mode": "mapping", "resolution": 0.05, "scan_buffer_size": 20, "max_laser_range": 12}
+    values |= {"do_loop_closing": False, "minimum_travel_distance": 0.3, "ceres_loss_function": "None"}
+    path.write_text(yaml.safe_dump({"slam_toolbox": {"ros__parameters": values}}))
+    with pytest.warns(
+        UserWarning, match="online_sync.yaml: without effect on .*: ceres_loss_function, mode$"
+    ):
+        text = parameter_text(str(path))
+    known = ("scan_buffer_size", "max_laser_range", "do_loop_closing", "minimum_travel_distance")
+    assert read_parameters(text) == {name: values[name] for name in known}
+    assert make_mapper("slam_toolbox_original", **read_parameters(text)).config.scan_buffer_size == 20  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (
+            "slam_toolbox: {ros__parameters: {resolution: -1}}",
+            "resolution of slam_toolbox_original must be above 0",
+        ),
+        (
+            "slam_toolbox: {ros__parameters: {scan_buffer_size: ten}}",
+            "scan_buffer_size of .* must be a whole number",
+        ),
+        ("slam_toolbox: {ros__parameters: 3}", "must hold `slam_toolbox: ros__parameters"),
+        ("image: map.pgm", "must hold `slam_toolbox: ros__parameters"),
+        ("slam_toolbox: [", "line 1: "),
+        (None, "cannot be read"),
+    ],
+)
+def test_a_bad_parameter_file_is_one_line(text: str | None, reason: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.yaml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(SourceError, match=rf"^{path}: {reason}"):
+        parameter_text(str(path))
