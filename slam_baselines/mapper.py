@@ -64,30 +64,23 @@ class Method(NamedTuple):
 
 _CLOUDS, _ORIGINALS = "lirs_extensions.clouds", "lirs_extensions.originals"
 
+
+def _original(module: str, method: str, resolution: str) -> Method:
+    """Return a method as published."""
+    name = f"{method}Original"
+    return Method(f"{_ORIGINALS}.{module}", f"{name}Config", f"{name}Mapper", resolution)
+
+
 MAPPERS: Mapping[str, Method] = {
     "hector": Method("slam_baselines.hector", "HectorConfig", "HectorMapper", "map_resolution"),
-    "hector_original": Method(
-        f"{_ORIGINALS}.hector", "HectorOriginalConfig", "HectorOriginalMapper", "map_resolution"
-    ),
+    "hector_original": _original("hector", "Hector", "map_resolution"),
     "gmapping": Method("slam_baselines.gmapping.mapper", "GmappingConfig", "GmappingMapper", "delta"),
-    "gmapping_original": Method(
-        f"{_ORIGINALS}.gmapping.mapper", "GmappingOriginalConfig", "GmappingOriginalMapper", "delta"
-    ),
+    "gmapping_original": _original("gmapping.mapper", "Gmapping", "delta"),
     "cartographer": Method(
         "slam_baselines.cartographer.mapper", "CartographerConfig", "make_cartographer", "map_resolution"
     ),
-    "cartographer_original": Method(
-        f"{_ORIGINALS}.cartographer.mapper",
-        "CartographerOriginalConfig",
-        "CartographerOriginalMapper",
-        "resolution",
-    ),
-    "slam_toolbox_original": Method(
-        f"{_ORIGINALS}.slam_toolbox.mapper",
-        "SlamToolboxOriginalConfig",
-        "SlamToolboxOriginalMapper",
-        "resolution",
-    ),
+    "cartographer_original": _original("cartographer.mapper", "Cartographer", "resolution"),
+    "slam_toolbox_original": _original("slam_toolbox.mapper", "SlamToolbox", "resolution"),
 }
 """The planar methods by name."""
 
@@ -378,10 +371,9 @@ def read_parameters(text: str, label: str = "--parameters") -> dict[str, Any]:
 
 def parameter_text(text: str, label: str = "--parameters") -> str:
     """Return parameters as a text; of a ROS parameter file those that it changes."""
-    if not text.endswith((".yaml", ".yml")):
-        return text
-    changed: str = importlib.import_module(MAPPERS["slam_toolbox_original"].module).read_ros_file(Path(text))
-    return changed
+    if text.endswith((".yaml", ".yml")):
+        text = importlib.import_module(MAPPERS["slam_toolbox_original"].module).read_ros_file(Path(text))
+    return text
 
 
 class Stopwatch:

@@ -298,7 +298,8 @@ def _sees_more(site: DriveSite, config: RunConfig) -> bool:
 def _attitude(config: RunConfig) -> dict[str, RunConfig]:
     """Return the run of a planar method with the IMU's attitude."""
     aware = config.mapper.removesuffix(ORIGINAL)
-    if aware != config.mapper and aware in MAPPERS:
+    if aware != config.mapper and config.mapper in MAPPERS:
+        aware = aware if aware in MAPPERS else "hector"
         return {f"terrain-aware {aware}": replace(config, mapper=aware, attitude="imu", parameters="")}
     blind = config.mapper in MAPPERS and config.attitude == "none"
     return {"with IMU attitude": replace(config, attitude="imu")} if blind else {}

@@ -125,11 +125,8 @@ class HectorOriginalMapper(PlanarMapper):
     def _points(self, scan: LaserScan) -> tuple[FloatArray, FloatArray]:
         """Return laser (2,) and usable ends of beams (n, 2) in the level base frame."""
         c, ranges = self.config, scan.ranges.astype(np.float64)
-        nearest, farthest = (
-            max(scan.range_min, c.laser_min_dist),
-            min(scan.range_max - 0.01, c.laser_max_dist),
-        )
-        usable = (ranges > nearest) & (ranges < farthest)
+        farthest = min(scan.range_max - 0.01, c.laser_max_dist)
+        usable = (ranges > max(scan.range_min, c.laser_min_dist)) & (ranges < farthest)
         r, angle = ranges[usable], scan.angles[usable]
         points = np.stack((r * np.cos(angle), r * np.sin(angle), np.zeros(len(r))), axis=-1)
         mount = scan.T_base_laser

@@ -71,11 +71,9 @@ class SearchParameter:
 
     def read_within(self, path: Path, given: object, legal: tuple[float, float]) -> SearchParameter:
         """Return the parameter with given limits, `[low, high]` or one value."""
-        pair = given if isinstance(given, list) else [given, given]
+        pair: list[Any] = given if isinstance(given, list) else [given, given]
         low, high = legal
-        numbers = [
-            v for v in pair if isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)
-        ]
+        numbers = [v for v in pair if type(v) in (int, float) and math.isfinite(v)]
         if len(pair) != 2 or len(numbers) != 2 or not low <= numbers[0] <= numbers[1] <= high:
             raise ConfigError(
                 f"{path}: {self.name} must be a number or [low, high] "
@@ -215,7 +213,7 @@ def measure_trial(measure: Callable[..., Score], arguments: Arguments, progress:
     return measure(*arguments)
 
 
-class TrialArchive(Generic[Score]):
+class Trials(Generic[Score]):
     """Measures trials, counts them and keeps their scores.
 
     Attributes:

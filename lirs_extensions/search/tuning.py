@@ -15,14 +15,7 @@ import numpy as np
 import scipy  # its modules load on first use
 import yaml
 
-from lirs_extensions.search.case_search import (
-    Case,
-    SearchParameter,
-    SearchSpace,
-    TrialArchive,
-    shrink,
-    trial_key,
-)
+from lirs_extensions.search.case_search import Case, SearchParameter, SearchSpace, Trials, shrink, trial_key
 from lirs_extensions.search.options import TuneOptions
 from lirs_extensions.search.proposers import make_proposer
 from lirs_validation.config import MapConfig, RunConfig
@@ -96,7 +89,7 @@ class TuneDrives:
     ) -> None:
         self.target, self.options, self.space = target, options, space
         self.defaults = default_parameters(target.mapper)
-        self.archive = TrialArchive(out / "drives.jsonl", TuneScore, pool)
+        self.archive = Trials(out / "drives.jsonl", TuneScore, pool)
 
     def text(self, case: Case) -> str:
         """Return the held parameters and those of a case that differ from the mapper's defaults."""
@@ -464,10 +457,8 @@ TUNABLE: Mapping[str, tuple[Tunable, ...]] = {
         Tunable("loop_search_maximum_distance", 1.0, 10.0),
         Tunable("loop_match_minimum_response_coarse", 0.15, 0.6, log=False),
         Tunable("loop_match_minimum_response_fine", 0.2, 0.7, log=False),
-        Tunable("correlation_search_space_dimension", 0.1, 1.0),
         Tunable("correlation_search_space_smear_deviation", 0.02, 0.1),
         Tunable("distance_variance_penalty", 0.1, 2.0),
-        Tunable("angle_variance_penalty", 0.1, 2.0),
     ),
 }
 """Parameters by mapper."""

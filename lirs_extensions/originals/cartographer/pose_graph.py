@@ -299,10 +299,8 @@ def adjust(
     point = x[1:].ravel()
     for most in iterations:
         point = minimize(problem, point, most)
-    adjusted_submaps, adjusted_nodes = (
-        [Pose2(*pose) for pose in poses.tolist()] for poses in problem.poses(point)
-    )
-    return adjusted_submaps, adjusted_nodes
+    adjusted = ([Pose2(*pose) for pose in poses.tolist()] for poses in problem.poses(point))
+    return next(adjusted), next(adjusted)
 
 
 class OriginalPoseGraph:
@@ -414,11 +412,5 @@ class OriginalPoseGraph:
         self.events.append(LoopEvent(node.stamp, seen, before, after, score))
 
     def _adjust(self, iterations: list[int]) -> tuple[list[Pose2], list[Pose2]]:
-        return adjust(
-            self._submap_poses,
-            self._node_poses,
-            self._ties,
-            self._chain,
-            self._config.huber_scale,
-            iterations,
-        )
+        scale = self._config.huber_scale
+        return adjust(self._submap_poses, self._node_poses, self._ties, self._chain, scale, iterations)

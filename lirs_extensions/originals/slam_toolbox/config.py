@@ -15,6 +15,8 @@ MOST_CELLS = 10_000
 class SlamToolboxOriginalConfig(Checked, of="slam_toolbox_original"):
     """Parameters of slam_toolbox with its defaults.
 
+    The grid of the loop search has three parameters as that of the sequential one, `loop_` in their names.
+
     Attributes:
         resolution: Edge of a cell of the map that is drawn, meters.
         throttle_scans: One of so many scans is looked at.
@@ -42,9 +44,6 @@ class SlamToolboxOriginalConfig(Checked, of="slam_toolbox_original"):
         correlation_search_space_dimension: Edge of the square that is searched, meters.
         correlation_search_space_resolution: Edge of a cell of the matcher, meters.
         correlation_search_space_smear_deviation: Standard deviation of the blur of the hits, meters.
-        loop_search_space_dimension: Edge of the square that is searched for a loop, meters.
-        loop_search_space_resolution: Edge of a cell there, meters.
-        loop_search_space_smear_deviation: Standard deviation of the blur there, meters.
         distance_variance_penalty: Distance whose square scales the penalty of a shift, meters.
         angle_variance_penalty: Angle whose square scales the penalty of a turn, radians.
         fine_search_angle_offset: Step of the headings of the second stage, radians.
@@ -96,15 +95,10 @@ class SlamToolboxOriginalConfig(Checked, of="slam_toolbox_original"):
     def __post_init__(self) -> None:
         super().__post_init__()
         for grid in ("correlation_search_space", "loop_search_space"):
-            cell = getattr(self, f"{grid}_resolution")
-            for name, least, most in (
-                (f"{grid}_smear_deviation", 0.5, 10),
-                (f"{grid}_dimension", 2, MOST_CELLS),
-                ("max_laser_range", 1, MOST_CELLS),
-            ):
-                require_within(
-                    self, f"[{least * cell}, {most * cell}]", name, of=f"{grid}_resolution {cell}", unit="m"
-                )
+            cell, of = getattr(self, f"{grid}_resolution"), f"the grid of {grid}"
+            require_within(self, f"[{2 * cell}, {MOST_CELLS * cell}]", f"{grid}_dimension", of=of, unit="m")
+            require_within(self, f"[{cell}, {MOST_CELLS * cell}]", "max_laser_range", of=of, unit="m")
+            require_within(self, f"[{cell / 2}, {10 * cell}]", f"{grid}_smear_deviation", of=of, unit="m")
         steps = "fine_search_angle_offset", "coarse_angle_resolution", "coarse_search_angle_offset"
         for step, whole in pairwise(steps):
             require_within(self, f"(0, {getattr(self, whole)}]", step, of=f"{whole} {getattr(self, whole)}")

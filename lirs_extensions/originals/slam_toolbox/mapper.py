@@ -1,8 +1,7 @@
 """Planar slam_toolbox as in its authors' program: gate, correlative matching, pose graph.
 
-Macenski and Jambrecic 2021, with the defaults of `mapper_params_online_sync.yaml`; it is driven as the
-synchronous node drives it. No attitude, no ground filter: on uneven ground hillsides are walls. It never
-reports that it is lost.
+Macenski and Jambrecic 2021, driven as by its synchronous node. No attitude, no ground filter: on uneven
+ground hillsides are walls. It never reports that it is lost.
 """
 
 from __future__ import annotations
@@ -24,16 +23,10 @@ from slam_baselines.leveling import LeveledScan, ScanLeveler
 from slam_baselines.mapper import MapperStats, PlanarMapper, make_mapper, parameters
 from slam_baselines.occupancy_map import OccupancyMap, bounding_box
 
-__all__ = ["SlamToolboxOriginalConfig", "SlamToolboxOriginalMapper"]
-
 WARM_UP = {
-    "minimum_travel_distance": 0.2,
-    "use_scan_barycenter": False,
-    "link_scan_maximum_distance": 0.45,
-    "loop_search_maximum_distance": 0.5,
-    "loop_match_minimum_chain_size": 2,
-    "loop_search_space_dimension": 2.0,
-    "loop_match_minimum_response_coarse": 0.1,
+    "link_scan_maximum_distance": 0.3,
+    "loop_search_maximum_distance": 0.4,
+    "loop_match_minimum_chain_size": 1,
 }
 """Configuration with which a short drive closes a loop."""
 GATE_SHARE = 0.8
@@ -94,17 +87,11 @@ class SlamToolboxOriginalMapper(PlanarMapper):
     def counts(self) -> MapperStats:
         """Return used and skipped scans, memory and other counts."""
         graph, used = self._graph, len(self._graph.nodes)
-        return MapperStats(
-            used=used,
-            skipped={"not moved": self.received - used},
-            memory=graph.nbytes,
-            counts={
-                "nodes": used,
-                "edges": len(graph.links),
-                "loops": len(graph.events),
-                "loop_searches": graph.loop_searches,
-            },
-        )
+        counts = {"nodes": used, "edges": len(graph.links)}
+        counts |= {"loops": len(graph.events), "loop_searches": graph.loop_searches}
+        memory = graph.matcher.cells.nbytes + graph.loop_matcher.cells.nbytes
+        skipped = {"not moved": self.received - used}
+        return MapperStats(used=used, skipped=skipped, memory=memory, counts=counts)
 
     def _poses(self) -> list[Pose2]:
         """Return `T_map_base` of all nodes."""
@@ -116,13 +103,9 @@ class SlamToolboxOriginalMapper(PlanarMapper):
         c = self.config
         if self._let_in is not None:
             then, last = self._let_in
-            squared = (odometry.x - last.x) ** 2 + (odometry.y - last.y) ** 2
-            if (
-                self.received % c.throttle_scans
-                or stamp - then < c.minimum_time_interval
-                or squared < GATE_SHARE * c.minimum_travel_distance**2
-                or self.received < FIRST_SCANS
-            ):
+            early = stamp - then < c.minimum_time_interval or self.received < FIRST_SCANS
+            near = last.distance(odometry) ** 2 < GATE_SHARE * c.minimum_travel_distance**2
+            if early or near or self.received % c.throttle_scans:
                 return False
         self._let_in = stamp, odometry
         return True
@@ -132,11 +115,10 @@ class SlamToolboxOriginalMapper(PlanarMapper):
         c, nodes = self.config, self._graph.nodes
         if not nodes:
             return True
-        last, mount = nodes[-1], scan.T_base_laser.to_pose2()
-        before, now = last.odometry @ last.mount, odometry @ mount
-        squared = (now.x - before.x) ** 2 + (now.y - before.y) ** 2
+        last, now = nodes[-1], odometry @ scan.T_base_laser.to_pose2()
+        before = last.odometry @ last.mount
         return (
-            squared >= c.minimum_travel_distance**2 - TOLERANCE
+            before.distance(now) ** 2 >= c.minimum_travel_distance**2 - TOLERANCE
             or abs(wrap_angle(now.yaw - before.yaw)) >= c.minimum_travel_heading
             or scan.stamp - last.stamp >= MAX_INTERVAL
         )
@@ -162,17 +144,11 @@ class SlamToolboxOriginalMapper(PlanarMapper):
 
 
 def read_ros_file(path: Path) -> str:
-    """Return the parameters of a ROS file that differ from the defaults, as `NAME=VALUE,...`.
-
-    Those that have no effect here are named in a warning.
-
-    Raises:
-        SourceError: the file cannot be read, holds none of slam_toolbox, or one with an illegal value.
-    """
-    name = SlamToolboxOriginalMapper.name
+    """Return the parameters of a ROS file that are not the defaults, `NAME=VALUE,...`."""
+    name, default = SlamToolboxOriginalMapper.name, SlamToolboxOriginalConfig()
     try:
         given = dict(load_yaml(path.read_text(encoding="utf-8"))["slam_toolbox"]["ros__parameters"])
-        known = {key: value for key, value in given.items() if key in parameters(name)}
+        known = {key: given[key] for key in given if key in parameters(name)}
         make_mapper(name, **known)
     except (KeyError, TypeError) as error:
         raise SourceError(f"{path}: must hold `slam_toolbox: ros__parameters: NAME: VALUE`") from error
@@ -180,6 +156,5 @@ def read_ros_file(path: Path) -> str:
         raise SourceError(f"{path}: {reason_of(error)}") from error
     if ignored := sorted(map(str, given.keys() - known.keys())):
         warnings.warn(f"{path}: without effect on {name}: {', '.join(ignored)}", stacklevel=2)
-    default = SlamToolboxOriginalConfig()
-    changed = {key: value for key, value in known.items() if value != getattr(default, key)}
-    return ",".join(f"{key}={str(value).lower()}" for key, value in changed.items())
+    changed = [key for key in known if known[key] != getattr(default, key)]
+    return ",".join(f"{key}={str(known[key]).lower()}" for key in changed)

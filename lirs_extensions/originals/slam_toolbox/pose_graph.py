@@ -1,7 +1,4 @@
-"""Pose graph of the original: links, loop search and optimization (Konolige et al. 2010).
-
-Links follow from scan matching alone, the odometry is no constraint.
-"""
+"""Pose graph of the original (Konolige et al. 2010); the odometry is no constraint."""
 
 from __future__ import annotations
 
@@ -22,9 +19,7 @@ from lirs_wct.geometry import FloatArray, Pose2, in_axes_of, wrap_angles
 from slam_baselines.cartographer.loop_closure import LoopEvent
 from slam_baselines.cartographer.pose_graph import PoseConstraint, PoseConstraints, errors, linearize
 
-SOLVER = SolverOptions(
-    function_tolerance=1e-3, gradient_tolerance=1e-6, parameter_tolerance=1e-3, max_radius=1e8, nonmonotonic=3
-)
+SOLVER = SolverOptions(1e-3, 1e-6, 1e-3, max_radius=1e8, nonmonotonic=3)
 """Options with which the original calls Ceres."""
 ITERATIONS = 50
 TOLERANCE = 1e-6
@@ -36,21 +31,13 @@ class SlamToolboxGraph:
 
     def __init__(self, config: SlamToolboxOriginalConfig) -> None:
         self._config = c = config
-        self.matcher, self._loop_matcher = (
-            CorrelativeMatcher(c, f"{name}_search_space") for name in ("correlation", "loop")
-        )
+        self.matcher, self.loop_matcher = CorrelativeMatcher(c, "correlation"), CorrelativeMatcher(c, "loop")
         self.nodes: list[ScanNode] = []
         self.links: dict[tuple[int, int], PoseConstraint] = {}
         self.events: list[LoopEvent] = []
         self.loop_searches = 0
         self._neighbors: list[list[int]] = []
         self._solution: list[FloatArray] = []
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the matchers' grids and of the scans."""
-        scans = sum(node.ranges.nbytes + node.returns.nbytes + node.points.nbytes for node in self.nodes)
-        return self.matcher.nbytes + self._loop_matcher.nbytes + scans
 
     def add_node(self, node: ScanNode, match: SensorMatch | None, running: Sequence[int]) -> None:
         """Add a node, link it, and move it to the mean of its matches."""
@@ -77,7 +64,7 @@ class SlamToolboxGraph:
         while chain:
             self.loop_searches += 1
             base = [self.nodes[i] for i in chain]
-            match = self._loop_matcher.match(node, base, node.sensor, fine=False)
+            match = self.loop_matcher.match(node, base, node.sensor, fine=False)
             deviation = math.sqrt(max(match.covariance[0, 0], match.covariance[1, 1]))
             if (
                 match.response > c.loop_match_minimum_response_coarse
@@ -136,10 +123,8 @@ class SlamToolboxGraph:
         for i in self._reach(new, c.link_scan_maximum_distance):
             if i == new or i in used:
                 continue
-            before, after = (
-                takewhile(is_near, indices) for indices in (range(i - 1, -1, -1), range(i + 1, new + 1))
-            )
-            chain = [*reversed([*before]), i, *after]
+            before, after = range(i - 1, -1, -1), range(i + 1, new + 1)
+            chain = [*reversed([*takewhile(is_near, before)]), i, *takewhile(is_near, after)]
             used.update(chain)
             if new not in chain and len(chain) >= c.loop_match_minimum_chain_size:
                 chains.append(chain)
@@ -177,10 +162,8 @@ def weighted_mean(matches: Sequence[SensorMatch]) -> Pose2:
     mean = np.linalg.inv(sum(informations, np.zeros((3, 3)))) @ sum(
         (W @ m.sensor.as_array() for W, m in zip(informations, matches, strict=True)), np.zeros(3)
     )
-    headings = np.array([match.sensor.yaw for match in matches])
-    return Pose2(
-        float(mean[0]), float(mean[1]), float(np.arctan2(np.sin(headings).sum(), np.cos(headings).sum()))
-    )
+    heading = np.angle(sum(np.exp(1j * match.sensor.yaw) for match in matches))
+    return Pose2(float(mean[0]), float(mean[1]), float(heading))
 
 
 def _take_step(x: FloatArray, step: FloatArray) -> FloatArray:
@@ -216,7 +199,6 @@ class _GraphProblem:
     def solve(self, equations: NormalEquations, damping: FloatArray) -> FloatArray:
         """Return the damped step."""
         H = sparse.csc_matrix(equations.hessian + sparse.diags(damping))
-        step: FloatArray = -splu(H, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(
-            equations.gradient
-        )
+        factors = splu(H, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        step: FloatArray = -factors.solve(equations.gradient)
         return step

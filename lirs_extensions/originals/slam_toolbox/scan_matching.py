@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_extensions.originals.slam_toolbox.config import SlamToolboxOriginalConfig
-from lirs_wct.arrays import FloatArray, IntArray, njit
+from lirs_wct.arrays import FloatArray, njit
 from lirs_wct.geometry import LaserScan, Pose2, wrap_angle
 
 OCCUPIED = 100
@@ -40,7 +40,7 @@ class ScanNode:
         odometry: `T_odom_base`.
         ranges: (n,) all beams, infinite without return, meters.
         returns: (k, 2) ends of the beams with return in the sensor's frame.
-        pose: `T_map_base` as known now; `sensor` is `T_map_sensor`.
+        pose: `T_map_base` as known now, and `sensor` is `T_map_sensor`.
         points: (n, 2) ends of all beams in the map frame, not finite without return.
         center: Mean of the hits in range, else the sensor's place, in the map frame.
     """
@@ -111,10 +111,7 @@ class Lattice(NamedTuple):
 
     def covariance(self, result: Pose2) -> FloatArray:
         """Return the covariance (3, 3) of x and y, for the heading the step's."""
-        best, step, turn = (
-            self.best,
-            *(float(offsets[1] - offsets[0]) for offsets in (self.shifts, self.turns)),
-        )
+        best, (step, turn) = self.best, (float(each[1] - each[0]) for each in (self.shifts, self.turns))
         covariance = np.diag((LARGEST_VARIANCE, LARGEST_VARIANCE, 4 * turn**2))
         if best < EQUAL:
             return covariance
@@ -134,27 +131,21 @@ class CorrelativeMatcher:
     """Matcher of a scan with others, on a grid around the start."""
 
     def __init__(self, config: SlamToolboxOriginalConfig, grid: str) -> None:
-        """Search with the parameters whose names begin with that of the grid."""
-        dimension, resolution, deviation = (
-            getattr(config, f"{grid}_{name}") for name in ("dimension", "resolution", "smear_deviation")
-        )
+        """Search with the parameters whose names begin so."""
+        names = (f"{grid}_search_space_{name}" for name in ("dimension", "resolution", "smear_deviation"))
+        dimension, resolution, deviation = (getattr(config, name) for name in names)
         self._config, self._resolution = config, resolution
-        searched = _steps(dimension, resolution) + 1
+        searched = int(dimension / resolution + 1.5)
         self._reach = 0.5 * (searched - 1) * resolution
         self._size = searched + 2 * math.ceil(config.max_laser_range / resolution)
-        half = _steps(2 * deviation, resolution)
+        half = int(2 * deviation / resolution + 0.5)
         self._border = half + 1
         steps = np.arange(-half, half + 1) * resolution
         blur = np.exp(-0.5 * np.square(np.hypot(steps, steps[:, None]) / deviation))
         self._kernel = np.floor(OCCUPIED * blur + 0.5).astype(np.uint8)
         rows = self._size + 2 * self._border
-        self._cells = np.zeros((rows, -(-rows // 8) * 8), np.uint8)
+        self.cells = np.zeros((rows, -(-rows // 8) * 8), np.uint8)
         self._corner = 0.0, 0.0
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of its grid."""
-        return self._cells.nbytes
 
     def match(
         self, node: ScanNode, base: list[ScanNode], start: Pose2, *, penalize: bool = False, fine: bool = True
@@ -180,10 +171,10 @@ class CorrelativeMatcher:
         """Draw the hits that are seen from their front, around a pose in the middle cell."""
         half = 0.5 * (self._size - 1) * self._resolution
         self._corner = start.x - half, start.y - half
-        self._cells.fill(0)
+        self.cells.fill(0)
         for node in base:
             visible = node.points[seen_from(node.points, start.x, start.y)]
-            _draw_blurred(self._cells, self._kernel, visible, self._corner, 1 / self._resolution, self._size)
+            _draw_blurred(self.cells, self._kernel, visible, self._corner, 1 / self._resolution, self._size)
 
     def _search(
         self, node: ScanNode, center: Pose2, shifts: FloatArray, turns: FloatArray, penalize: bool
@@ -204,10 +195,10 @@ class CorrelativeMatcher:
     def _raw(self, node: ScanNode, x: FloatArray, y: FloatArray, headings: FloatArray) -> FloatArray:
         """Return responses (y, x, heading) without penalty."""
         scale, border = 1 / self._resolution, self._border
-        cols = _round_away((x - self._corner[0]) * scale) + border
-        rows = _round_away((y - self._corner[1]) * scale) + border
+        cols = np.floor((x - self._corner[0]) * scale + 0.5).astype(np.int64) + border
+        rows = np.floor((y - self._corner[1]) * scale + 0.5).astype(np.int64) + border
         sums = np.zeros((len(headings), len(y), len(x)), np.int32)
-        _sum_hits(self._cells, node.returns, headings, rows, cols, scale, sums)
+        _sum_hits(self.cells, node.returns, headings, rows, cols, scale, sums)
         responses: FloatArray = sums.transpose(1, 2, 0) / (OCCUPIED * max(1, len(node.ranges)))
         return responses
 
@@ -223,20 +214,9 @@ class CorrelativeMatcher:
         return (total if total >= EQUAL else step2) / float(w.sum())
 
 
-def _steps(length: float, step: float) -> int:
-    """Return the number of steps of a length, rounded."""
-    return math.floor(length / step + 0.5)
-
-
-def _round_away(values: FloatArray) -> IntArray:
-    """Round numbers, halves away from 0."""
-    whole: IntArray = (np.sign(values) * np.floor(np.abs(values) + 0.5)).astype(np.int64)
-    return whole
-
-
 def _offsets(most: float, step: float) -> FloatArray:
     """Return the offsets of a lattice; not each has 0 among them."""
-    offsets: FloatArray = -most + step * np.arange(_steps(2 * most, step) + 1, dtype=np.float64)
+    offsets: FloatArray = -most + step * np.arange(int(2 * most / step + 1.5), dtype=np.float64)
     return offsets
 
 

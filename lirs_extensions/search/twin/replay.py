@@ -269,9 +269,7 @@ def replay_log(
     rows = []
     with process_pool(jobs) as pool:
         for name in names:
-            own = {
-                key: getattr(config, key) if name == config.mapper else value for key, value in OWN.items()
-            }
+            own = {key: getattr(config, key) for key in OWN} if name == config.mapper else OWN
             options = {"mapper": name, "second": "none"} | own
             draws = [
                 MapConfig(log=str(file), seed=config.seed + k, **options) for k, file in enumerate(written)

@@ -309,6 +309,7 @@ def test_the_spread_of_path_errors_is_told_for_all_evaluated_drives() -> None:
         (CONFIG, 0.5, ["60 s", "lidar lms1xx (30 m)", "wheel_lio with lidar vlp16"]),
         (replace(CONFIG, attitude="none", seconds=60), 0.5, ["with IMU attitude", "lidar lms1xx (30 m)"]),
         (replace(CONFIG, mapper="hector_original", seconds=60), 0.5, ["terrain-aware hector"]),
+        (replace(CONFIG, mapper="slam_toolbox_original", seconds=60), 0.5, ["terrain-aware hector"]),
         (CONFIG, 0.01, ["wheel_lio with lidar vlp16"]),
         (replace(CONFIG, mapper="wheel_lio", lidar="vlp16", seconds=60), 0.01, ["lidar os1_32 (120 m)"]),
     ],
