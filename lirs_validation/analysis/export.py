@@ -17,7 +17,7 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.imu import STANDARD_GRAVITY, InertialNoise
 from lirs_validation.analysis.results import RunFolder, read_sensors, recorded_config
-from lirs_validation.experiment.recording import sensor_errors
+from lirs_validation.experiment.run import sensor_errors
 from lirs_validation.record.run_record import maps_clouds
 from lirs_wct import FloatArray, Pose2, Pose3, SourceError, unknown_name
 from lirs_wct.files import atomic_write
