@@ -20,11 +20,11 @@ from lirs_extensions.search.case_search import (
     SearchParameter,
     SearchSpace,
     TrialArchive,
+    make_proposer,
     shrink,
     trial_key,
 )
 from lirs_extensions.search.options import TuneOptions
-from lirs_extensions.search.proposers import make_proposer
 from lirs_validation.config import MapConfig, RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.experiment.scenario import ScenarioCache

@@ -25,11 +25,11 @@ from lirs_extensions.search.case_search import (
     SearchParameter,
     SearchSpace,
     TrialArchive,
+    make_proposer,
     shrink,
     trial_key,
 )
 from lirs_extensions.search.options import FAILURE_FACTOR, POLICY_TASK, FalsifyOptions
-from lirs_extensions.search.proposers import make_proposer
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.record.verdict import LIMITS, classify, run_figures
