@@ -24,8 +24,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from lirs_wct.errors import OutputError
-from lirs_wct.progress import Progress
+from lirs_wct import OutputError, Progress
 
 if TYPE_CHECKING:
     from lirs_validation.config import EngineOptions
