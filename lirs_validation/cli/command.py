@@ -35,7 +35,7 @@ COMMANDS: Mapping[str, str] = {
     "compare": "lirs_validation.cli.commands.reports:compare",
     "score": "lirs_validation.cli.commands.reports:score",
     "info": "lirs_validation.cli.commands.worlds:info",
-    "gui": "lirs_validation.cli.commands.gui:gui",
+    "gui": "lirs_validation.cli.commands.worlds:gui",
     "list": "lirs_validation.cli.commands.installation:list_names",
     "export": "lirs_validation.cli.commands.reports:export",
     "record": "lirs_validation.cli.commands.validate:record",
