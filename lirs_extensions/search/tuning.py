@@ -42,7 +42,7 @@ from lirs_validation.record.verdict import (
 from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.engines import WorkerPool
 from lirs_validation.sweep.tasks import read_yaml_fields
-from lirs_wct import ConfigError, MapperError, SimulationError, Trajectory, unknown_name
+from lirs_wct import ConfigError, MapperError, SimulationError, Trajectory, require_known, unknown_name
 from lirs_wct.files import staged_files, write_json
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.option import command_line
@@ -63,8 +63,7 @@ _SCENARIOS = ScenarioCache()
 
 def search_space(mapper: str, parameters: str, limits: Path | None) -> SearchSpace:
     """Return a mapper's parameters without those that the user sets."""
-    if mapper not in TUNABLE:
-        raise unknown_name("mapper with parameters to tune", mapper, TUNABLE)
+    require_known("mapper with parameters to tune", mapper, TUNABLE)
     defaults, fixed = default_parameters(mapper), read_parameters(parameters)
     free: dict[str, SearchParameter] = {}
     for t in TUNABLE[mapper]:

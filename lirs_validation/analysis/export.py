@@ -19,7 +19,7 @@ from lirs_envs.sensing.imu import STANDARD_GRAVITY, InertialNoise
 from lirs_validation.analysis.results import RunFolder, read_sensors, recorded_config
 from lirs_validation.experiment.run import sensor_errors
 from lirs_validation.record.run_record import maps_clouds
-from lirs_wct import FloatArray, Pose2, Pose3, SourceError, unknown_name
+from lirs_wct import FloatArray, Pose2, Pose3, SourceError, require_known
 from lirs_wct.files import atomic_write
 from lirs_wct.formats import Storage, carmen_log, drive_files, map_server
 from lirs_wct.formats.rosbag.messages import BagDrive, BagTick
@@ -113,8 +113,7 @@ def export_run(
         "evalio": _export_evalio,
     }
     for name in formats:
-        if name not in exporters:
-            raise unknown_name("format", name, exporters)
+        require_known("format", name, exporters)
     return [exporters[name](run, out) for name in formats]
 
 

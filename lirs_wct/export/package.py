@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from lirs_wct.contact.spec import steep_nodes
-from lirs_wct.errors import ConfigError, OutputError, unknown_name
+from lirs_wct.errors import ConfigError, OutputError, require_known
 from lirs_wct.export.appearance import ground_wear, pad_to_square, world_extent, world_parts
 from lirs_wct.export.mesh_writer import require_usd, write_usd
 from lirs_wct.export.mjcf import write_hfield, write_mjcf
@@ -135,14 +135,12 @@ def _loaded_files(model: Path) -> tuple[str, ...]:
 def _check(world: World, folder: Path, formats: Collection[str], terrain: str, overwrite: bool) -> None:
     """Refuse formats that do not fit, and a folder of other files or of another source."""
     for name in formats:
-        if name not in FORMATS:
-            raise unknown_name("format", name, FORMATS)
+        require_known("format", name, FORMATS)
     if not formats:
         raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")
     if "usd" in formats:
         require_usd()
-    if terrain not in ("solid", "heightmap"):
-        raise unknown_name("terrain for Gazebo", terrain, ("solid", "heightmap"))
+    require_known("terrain for Gazebo", terrain, ("solid", "heightmap"))
     if terrain == "heightmap" and (world.walls is not None or world.overhangs):
         raise ConfigError(f"{world.name}: a heightmap cannot hold upright walls or overhangs; take solid")
     if "sdf" in formats and terrain == "solid" and not {"dae", "stl"} & set(formats):

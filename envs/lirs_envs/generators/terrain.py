@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from lirs_envs.generators.natural import NODES, fractal, with_rocks
-from lirs_wct import HeightField, Pose2, World, unknown_name
+from lirs_wct import HeightField, Pose2, World, require_known
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, njit
 from lirs_wct.errors import positive, within
 from lirs_wct.ground import Terrain
@@ -331,8 +331,7 @@ def generate(
         ConfigError: there is no such kind, the difficulty is not 0 to 1, or scale or steepness is not above
             0.
     """
-    if kind not in KINDS:
-        raise unknown_name("kind of terrain", kind, KINDS)
+    require_known("kind of terrain", kind, KINDS)
     within("[0, 1]")(difficulty, "difficulty of a terrain")
     positive(scale, "scale of a terrain")
     positive(steepness, "steepness of a terrain")
