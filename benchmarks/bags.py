@@ -21,7 +21,7 @@ from rosbags.highlevel import AnyReader
 from benchmarks.steps import arguments, print_rows
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import validate
-from lirs_validation.experiment.recording import Recording
+from lirs_validation.experiment.run import Recording
 from lirs_wct.formats.rosbag.messages import BagTick
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics

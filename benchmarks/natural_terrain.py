@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from benchmarks.steps import DATA, arguments, print_rows
-from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS
+from lirs_envs.generators.terrain import EDGE, NATURAL_TERRAINS
 from lirs_validation import validate
 from lirs_wct.errors import WctError
 from lirs_wct.option import read_numbers

@@ -30,8 +30,7 @@ from scipy.optimize import minimize
 
 from benchmarks.steps import DATA, arguments, print_rows
 from lirs_envs.generators.floor_plan import floor_plan
-from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
-from lirs_envs.generators.terrain import generate
+from lirs_envs.generators.terrain import EDGE, NATURAL_TERRAINS, NODES, generate
 from lirs_extensions.decide import forecast
 from lirs_extensions.decide.decide import P0, P1, SequentialTest
 from lirs_extensions.decide.forecast import FEATURES, DriveSite, LogisticModel, SiteFeatures

@@ -27,20 +27,16 @@ __all__ = [
     "validate",
 ]
 
-_HOMES = {
-    "EmbeddedPage": "gui",
-    "show": "gui",
-    "MappedLog": "logs.map_log",
-    "map_log": "logs.map_log",
-    "resolve_source": "logs.map_log",
-    "Run": "experiment.run",
-    "validate": "experiment.run",
-    "RunConfig": "config",
-    "RunRecord": "record.run_record",
-    "read_record": "record.run_record",
-    "read_results": "analysis.results",
-    "report_of": "report.run_report",
+_NAMES = {
+    "analysis.results": "read_results",
+    "config": "RunConfig",
+    "experiment.run": "Run validate",
+    "gui": "EmbeddedPage show",
+    "logs.map_log": "MappedLog map_log resolve_source",
+    "record.run_record": "RunRecord read_record",
+    "report.run_report": "report_of",
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         SimulationError,
         SourceError,
         WctError,
+        require_known,
         unknown_name,
     )
     from lirs_wct.export.package import write_package
@@ -41,7 +42,8 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "arrays": "BoolArray ByteArray Float32Array FloatArray Int32Array IntArray",
-    "errors": "ConfigError MapperError OutputError SimulationError SourceError WctError unknown_name",
+    "errors": "ConfigError MapperError OutputError SimulationError SourceError WctError "
+    "require_known unknown_name",
     "export.package": "write_package",
     "geometry.grid": "HeightField OccupancyGrid WallGrid",
     "geometry.mesh": "TriangleMesh",
@@ -85,6 +87,7 @@ __all__ = [
     "covariance_fault",
     "in_axes_of",
     "no_progress",
+    "require_known",
     "unknown_name",
     "wrap_angle",
     "write_package",

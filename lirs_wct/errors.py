@@ -107,6 +107,13 @@ def unknown_name(kind: str, name: str, legal: Iterable[str]) -> ConfigError:
     return ConfigError(f"unknown {kind} {name!r}; legal: {listed}{did_you_mean(name, names)}")
 
 
+def require_known(kind: str, name: Any, legal: Iterable[Any]) -> None:
+    """Raise the error for an unknown name unless it is legal."""
+    names = tuple(legal)
+    if name not in names:
+        raise unknown_name(kind, name, names)
+
+
 def did_you_mean(name: str, legal: Iterable[str]) -> str:
     """Return a clause with the most similar legal name; empty if none is similar."""
     similar = get_close_matches(str(name), tuple(legal), n=1)
@@ -200,9 +207,7 @@ def one_of(legal: Names) -> Check:
     """Return a check that a value is one of the legal names."""
 
     def check(value: Any, label: str) -> None:
-        names = legal() if callable(legal) else legal
-        if value not in names:
-            raise unknown_name(label, value, names)
+        require_known(label, value, legal() if callable(legal) else legal)
 
     return check
 

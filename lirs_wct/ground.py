@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import BoolArray, HeightField, OccupancyGrid, WallGrid
-from lirs_wct.geometry.grid import sample_surface
+from lirs_wct.geometry import BoolArray, HeightField, OccupancyGrid, WallGrid, sample_surface
 from lirs_wct.option import Options, documented, option, positive, within
 
 if TYPE_CHECKING:

@@ -24,8 +24,8 @@ from lirs_wct.geometry import (
     Pose2,
     WallGrid,
     njit,
+    sample_surface,
 )
-from lirs_wct.geometry.grid import sample_surface
 from lirs_wct.ground import Ground
 
 BASELINE = 0.3

@@ -23,7 +23,7 @@ from lirs_wct.errors import (
     did_you_mean,
     one_of as one_of,
     positive as positive,
-    unknown_name,
+    require_known,
     within as within,
 )
 
@@ -216,8 +216,7 @@ def check_names(options: type[Options], given: Iterable[str]) -> None:
     """Raise ConfigError unless every given name is a field."""
     legal = [entry.name for entry in fields(options)]
     for name in given:
-        if name not in legal:
-            raise unknown_name("option", name, legal)
+        require_known("option", name, legal)
 
 
 def changed(options: Options) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
 
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import ConfigError, require_known
 from lirs_wct.geometry import FloatArray, Imu, LaserScan, OccupancyGrid, PointCloud, Pose2, Pose3, Trajectory
 
 
@@ -310,8 +310,7 @@ def make_cloud_mapper(name: str, *, seed: int | None = None, **config: Any) -> C
         ConfigError: no mapper has that name, its package is missing, or its configuration has no such field
             or not that value.
     """
-    if name not in ALL_CLOUD_MAPPERS:
-        raise unknown_name("mapper of point clouds", name, ALL_CLOUD_MAPPERS)
+    require_known("mapper of point clouds", name, ALL_CLOUD_MAPPERS)
     method = ALL_CLOUD_MAPPERS[name]
     if not method.installed:
         raise ConfigError(f"mapper {name} needs the package {method.distribution}: {method.install}")
@@ -326,8 +325,7 @@ NUMBERS = ((bool, bool, "true or false"), (int, Integral, "a whole number"), (fl
 
 def _default_config(name: str) -> Any:
     """Return the default configuration of a method."""
-    if name not in _METHODS:
-        raise unknown_name("mapper", name, _METHODS)
+    require_known("mapper", name, _METHODS)
     method = _METHODS[name]
     return getattr(importlib.import_module(method.module), method.config)(**method.options)
 
@@ -338,8 +336,7 @@ def _make(name: str, seed: int | None, values: dict[str, Any]) -> Any:
     if seed is not None and "seed" in legal:
         values["seed"] = seed
     for key, value in values.items():
-        if key not in legal:
-            raise unknown_name(f"parameter of {name}", key, legal)
+        require_known(f"parameter of {name}", key, legal)
         default = getattr(defaults, key)
         for kind, number, words in NUMBERS:
             if isinstance(default, kind):

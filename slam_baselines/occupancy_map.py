@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.errors import Checked, limited
-from lirs_wct.geometry import OccupancyGrid
+from lirs_wct.geometry import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, OccupancyGrid, njit
 from slam_baselines.leveling import ScanPoints
 
 BITS = 32

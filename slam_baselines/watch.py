@@ -14,9 +14,8 @@ import math
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, njit
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import Pose2
+from lirs_wct.geometry import FloatArray, Pose2, njit
 
 STEPS, MIDDLE = 15, 7
 """Steps whose median velocity the middle one is compared with: the delay is 7 poses."""

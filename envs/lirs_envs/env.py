@@ -14,8 +14,7 @@ from gymnasium.wrappers import TimeLimit
 
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.episodes.episodes import Episodes, EpisodeView
-from lirs_envs.map_view import Snapshot
-from lirs_envs.rendering import RENDER_MODES, Views, check_render_mode
+from lirs_envs.rendering import RENDER_MODES, Snapshot, Views, check_render_mode
 from lirs_wct import ByteArray, Float32Array, Pose2
 from lirs_wct.errors import OptionError, did_you_mean
 

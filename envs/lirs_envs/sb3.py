@@ -104,6 +104,7 @@ class _RobotVecEnv:
         super().__init__(len(self._views), *spaces)  # type: ignore[call-arg]
 
     def reset(self) -> Any:
+        """Begin an episode of each environment; return the observations."""
         observed = []
         self.reset_infos = []
         self._returns[:], self._lengths[:] = 0.0, 0
@@ -127,6 +128,7 @@ class _RobotVecEnv:
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
+        """Apply the actions; return observations, rewards, ends and infos."""
         steps = [
             one.step(actions) for one, actions in zip(self.vectors, self._split(self._actions), strict=True)
         ]

@@ -18,8 +18,7 @@ import numpy as np
 from lirs_envs.episodes.world_cache import cached_world
 from lirs_envs.generators.arena import ArenaConfig, arena
 from lirs_envs.generators.floor_plan import floor_plan
-from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES, fractal, with_rocks
-from lirs_envs.generators.terrain import KINDS, generate
+from lirs_envs.generators.terrain import EDGE, KINDS, NATURAL_TERRAINS, NODES, fractal, generate, with_rocks
 from lirs_envs.robots.robot import make_robot
 from lirs_wct import BuildOptions, FloatArray, HeightField, World, build_world
 from lirs_wct.errors import (

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_extensions.clouds.packages import TimedOdometry, TimedSystem, matrix_of
-from lirs_wct.errors import ConfigError, require_within, unknown_name
+from lirs_wct.errors import ConfigError, require_known, require_within
 from lirs_wct.geometry import FloatArray, ImuReadings, PointCloud
 
 GRAVITY = 9.80665
@@ -82,8 +82,7 @@ class EvalioConfig:
     parameters: Mapping[str, bool | int | float | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.pipeline not in PIPELINES:
-            raise unknown_name("pipeline of evalio", self.pipeline, PIPELINES)
+        require_known("pipeline of evalio", self.pipeline, PIPELINES)
         of = f"evalio:{self.pipeline}"
         require_within(self, "(0, inf)", "max_range", "rate", "inertial_rate", of=of)
         require_within(self, "[0, inf]", "min_range", of=of, unit="m")
@@ -100,8 +99,7 @@ class EvalioPipeline(TimedSystem):
         defaults = self._made.default_params()
         threads = {name: count for name, count in THREADS.items() if name in defaults}
         for name in config.parameters:
-            if name not in defaults:
-                raise unknown_name(f"parameter of evalio:{config.pipeline}", name, defaults)
+            require_known(f"parameter of evalio:{config.pipeline}", name, defaults)
         self._made.set_params({**defaults, **threads, **config.parameters})
         self._running = False
         self._early: list[ImuReadings] = []

@@ -259,7 +259,7 @@ class TimedDrives:
 
     Attributes:
         costs: Wall seconds of a drive by config with seed 0, estimated from its first seconds.
-        trials: Trials that may need more drives.
+        trials: TrialArchive that may need more drives.
     """
 
     def __init__(self, out: Path, engine: EngineOptions, scenarios: ScenarioCache, budget: Budget) -> None:

@@ -32,7 +32,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.driving.path_driver import Frame
 from lirs_validation.experiment.drive import Driver, planar
 from lirs_validation.experiment.mapper_under_test import Estimate, LocalMapper, SensorReadings
-from lirs_validation.experiment.recording import bag_tick
+from lirs_validation.experiment.run import bag_tick
 from lirs_validation.processes import Cost
 from lirs_wct import (
     ConfigError,

@@ -21,8 +21,7 @@ from lirs_extensions.live.options import LiveOptions
 from lirs_validation.config import CLIENT, FRONTIER, RunConfig, run_name
 from lirs_validation.driving.choice import check_driver, make_driver, start_pose
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, mapper_named, needs_process
-from lirs_validation.experiment.recording import sensor_errors
-from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude, warm_up
+from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude, sensor_errors, warm_up
 from lirs_validation.experiment.scenario import Scenario, build_scenario
 from lirs_validation.processes import compile_timer
 from lirs_wct import ConfigError, Pose2, Progress, no_progress, unknown_name

@@ -17,11 +17,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
 from lirs_validation.sweep.engines import Failure, WorkerPool
 from lirs_wct import ConfigError, FloatArray, OutputError, Progress, WctError
 
 DIGITS = 3
 """Significant digits of a value."""
+START = 0.5
+"""Share of the distance between the defaults and the middle of the limits at which a search begins."""
+SPREAD = 0.25
+"""Initial standard deviation, share of the limits."""
+POPULATION, PARENTS = 10, 3
+"""Cases of a generation, and the best of them that the next one follows; the best so far competes again."""
+PATIENCE = 6
+"""Generations without a better case after which the search restarts at a random place."""
+BATCH = 12
+"""Cases of a batch of the random search."""
+MIN_PARAMETERS = 2
+"""Fewest free parameters of CMA-ES; one alone is drawn at random."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +227,7 @@ def measure_trial(measure: Callable[..., Score], arguments: Arguments, progress:
     return measure(*arguments)
 
 
-class Trials(Generic[Score]):
+class TrialArchive(Generic[Score]):
     """Measures trials, counts them and keeps their scores.
 
     Attributes:
@@ -295,3 +309,74 @@ def _read_archive(path: Path, kind: type[Score]) -> dict[str, Score]:
 def process_pool(jobs: int) -> AbstractContextManager[WorkerPool | None]:
     """Give the processes for concurrent drives; None for one job."""
     return nullcontext() if jobs == 1 else WorkerPool(jobs)
+
+
+class RandomProposer:
+    """Uniform cases within the limits."""
+
+    def __init__(self, limits: SearchSpace, rng: np.random.Generator) -> None:
+        self._limits, self._rng = limits, rng
+
+    def propose(self) -> list[Case]:
+        """Return a batch of cases."""
+        return [self._limits.case(x) for x in self._rng.random((BATCH, len(self._limits.free)))]
+
+    def learn(self, losses: Sequence[float]) -> None:
+        """Do nothing: the cases are independent."""
+
+
+class CmaProposer:
+    """CMA-ES with restarts."""
+
+    def __init__(self, limits: SearchSpace, rng: np.random.Generator) -> None:
+        require_cma()
+        self._limits, self._rng = limits, rng
+        easiest = np.array([p.default_share for p in limits.free])
+        self._begin((easiest + START * (0.5 - easiest)).tolist())
+
+    def _begin(self, mean: Sequence[float]) -> None:
+        import cma
+
+        options: dict[str, Any] = {
+            "bounds": [0, 1],
+            "seed": math.nan,  # the package's own would seed NumPy's global generator
+            "randn": lambda *shape: self._rng.standard_normal(shape),
+            "popsize": POPULATION,
+            "CMA_mu": PARENTS,
+            "CMA_elitist": True,
+            "verbose": -9,
+        }
+        self._strategy = cma.CMAEvolutionStrategy(list(mean), SPREAD, options)
+        self._asked: list[Any] = []
+        self._best, self._since = math.inf, 0
+
+    def propose(self) -> list[Case]:
+        """Return the next generation."""
+        if self._strategy.stop() or self._since >= PATIENCE:
+            self._begin(self._rng.random(len(self._limits.free)).tolist())
+        self._asked = [np.asarray(x, dtype=np.float64) for x in self._strategy.ask()]
+        return [self._limits.case(x) for x in self._asked]
+
+    def learn(self, losses: Sequence[float]) -> None:
+        """Update the distribution; an incomplete generation is ignored."""
+        if len(losses) < len(self._asked):
+            return
+        self._strategy.tell(self._asked, losses)
+        better = min(losses) < self._best
+        self._best, self._since = min(self._best, *losses), 0 if better else self._since + 1
+
+
+def make_proposer(kind: str, limits: SearchSpace, rng: np.random.Generator) -> RandomProposer | CmaProposer:
+    """Return the source of cases of a search."""
+    limits.require_free()
+    if kind == "random" or len(limits.free) < MIN_PARAMETERS:
+        return RandomProposer(limits, rng)
+    return CmaProposer(limits, rng)
+
+
+def require_cma() -> None:
+    """Check that the package `cma` is installed."""
+    try:
+        import cma  # noqa: F401
+    except ImportError:
+        raise ConfigError("the search needs the package cma: pip install '.[search]'") from None

@@ -51,11 +51,10 @@ def falsify(folder: FalsifyFolder, options: FalsifyOptions) -> None:
     lirs-wct falsify --policy go_to_goal --drives 60 -o failures/
     lirs-wct validate --suite failures/cases.yaml -o out/
     """
-    from lirs_extensions.search.case_search import process_pool
+    from lirs_extensions.search.case_search import process_pool, require_cma
     from lirs_extensions.search.falsify import search
     from lirs_extensions.search.falsify.results import conclusion, write_results
     from lirs_extensions.search.falsify.search import CaseDrives, check_methods, search_limits
-    from lirs_extensions.search.proposers import require_cma
 
     limits, output = search_limits(options), folder.output
     check_methods(options)
@@ -90,13 +89,12 @@ def tune(
     lirs-wct tune examples/data/office.clf.gz --mapper hector_original --unseen 4 -o tune/
     """
     from lirs_extensions.search import case_search, tuning as search
-    from lirs_extensions.search.proposers import require_cma
 
     output, target = where.output, _tune_target(where.source, run, tuning, build)
     limits = None if tuning.limits is None else Path(tuning.limits)
     space = search.search_space(target.mapper, target.parameters, limits)
     if tuning.search == "cma":
-        require_cma()
+        case_search.require_cma()
     with case_search.process_pool(tuning.jobs) as pool:
         drives = search.TuneDrives(target, tuning, space, output, pool)
         tuned = search.tune(drives, note)

@@ -15,9 +15,16 @@ import numpy as np
 import scipy  # its modules load on first use
 import yaml
 
-from lirs_extensions.search.case_search import Case, SearchParameter, SearchSpace, Trials, shrink, trial_key
+from lirs_extensions.search.case_search import (
+    Case,
+    SearchParameter,
+    SearchSpace,
+    TrialArchive,
+    make_proposer,
+    shrink,
+    trial_key,
+)
 from lirs_extensions.search.options import TuneOptions
-from lirs_extensions.search.proposers import make_proposer
 from lirs_validation.config import MapConfig, RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.experiment.scenario import ScenarioCache
@@ -35,7 +42,7 @@ from lirs_validation.record.verdict import (
 from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.engines import WorkerPool
 from lirs_validation.sweep.tasks import read_yaml_fields
-from lirs_wct import ConfigError, MapperError, SimulationError, Trajectory, unknown_name
+from lirs_wct import ConfigError, MapperError, SimulationError, Trajectory, require_known, unknown_name
 from lirs_wct.files import staged_files, write_json
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.option import command_line
@@ -56,8 +63,7 @@ _SCENARIOS = ScenarioCache()
 
 def search_space(mapper: str, parameters: str, limits: Path | None) -> SearchSpace:
     """Return a mapper's parameters without those that the user sets."""
-    if mapper not in TUNABLE:
-        raise unknown_name("mapper with parameters to tune", mapper, TUNABLE)
+    require_known("mapper with parameters to tune", mapper, TUNABLE)
     defaults, fixed = default_parameters(mapper), read_parameters(parameters)
     free: dict[str, SearchParameter] = {}
     for t in TUNABLE[mapper]:
@@ -89,7 +95,7 @@ class TuneDrives:
     ) -> None:
         self.target, self.options, self.space = target, options, space
         self.defaults = default_parameters(target.mapper)
-        self.archive = Trials(out / "drives.jsonl", TuneScore, pool)
+        self.archive = TrialArchive(out / "drives.jsonl", TuneScore, pool)
 
     def text(self, case: Case) -> str:
         """Return the held parameters and those of a case that differ from the mapper's defaults."""

@@ -18,7 +18,7 @@ import scipy  # its modules load on first use
 
 from lirs_validation.record.metric_catalog import Entry, Metric
 from lirs_validation.record.run_record import FIELDS, RunGroup, by_group, succeeded
-from lirs_wct import ConfigError, FloatArray, unknown_name
+from lirs_wct import ConfigError, FloatArray, require_known
 
 ORIGINAL = "_original"
 """End of the name of a method as published: `hector_original` beside `hector`."""
@@ -123,8 +123,7 @@ def compare(
     The results may differ in the fields of a group in `across`, such as `mapper`.
     """
     for field in across:
-        if field not in FIELDS:
-            raise unknown_name("field of a group", field, FIELDS)
+        require_known("field of a group", field, FIELDS)
     runs_a, runs_b = by_shared(a, across), by_shared(b, across)
     common = [group for group in runs_a if group in runs_b]
     if not common:
@@ -224,11 +223,9 @@ def holm(p: FloatArray) -> FloatArray:
 def only(entries: Sequence[Entry], fields: Mapping[str, str]) -> list[Entry]:
     """Return the records whose groups have the given values, such as `mapper` = `hector`."""
     for field, value in fields.items():
-        if field not in FIELDS:
-            raise unknown_name("field of a group", field, FIELDS)
+        require_known("field of a group", field, FIELDS)
         there = {_text(RunGroup.of(entry), field) for entry in entries}
-        if value not in there:
-            raise unknown_name(field, value, there)
+        require_known(field, value, there)
     return [e for e in entries if all(_text(RunGroup.of(e), f) == value for f, value in fields.items())]
 
 

@@ -17,9 +17,9 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.imu import STANDARD_GRAVITY, InertialNoise
 from lirs_validation.analysis.results import RunFolder, read_sensors, recorded_config
-from lirs_validation.experiment.recording import sensor_errors
+from lirs_validation.experiment.run import sensor_errors
 from lirs_validation.record.run_record import maps_clouds
-from lirs_wct import FloatArray, Pose2, Pose3, SourceError, unknown_name
+from lirs_wct import FloatArray, Pose2, Pose3, SourceError, require_known
 from lirs_wct.files import atomic_write
 from lirs_wct.formats import Storage, carmen_log, drive_files, map_server
 from lirs_wct.formats.rosbag.messages import BagDrive, BagTick
@@ -28,74 +28,8 @@ POSE_HEADER = "stamp,x,y,z,qw,qx,qy,qz"
 MODULE = "lirs_wct_run"
 """Name of the written module and of its data set."""
 POINTS, INERTIAL, TRUTH = "/points", "/imu/data_raw", "/ground_truth"
-TEXT = '''"""A run of LIRS-WCT as a data set of evalio.
-
-    export EVALIO_CUSTOM={module} PYTHONPATH=.
-    evalio run -d {module}/{sequence} -p genz -o results
-    evalio stats results
-
-Run all in this folder. The frame of the inertial unit and of the truth is base_link.
-"""
-
-from enum import auto
-from pathlib import Path
-
-import numpy as np
-from evalio.datasets.base import Dataset
-from evalio.datasets.loaders import (
-    LidarDensity, LidarFormatParams, LidarMajor, LidarPointStamp, LidarStamp, RosbagIter,
-)
-from evalio.types import SE3, SO3, ImuParams, LidarParams, Stamp, Trajectory
-from rosbags.highlevel import AnyReader
-
-BAG = (Path(__file__).resolve().parent / {bag!r}).resolve()
-
-
-class LirsWctRun(Dataset):
-    {sequence} = auto()
-
-    @property
-    def folder(self):
-        return BAG
-
-    def files(self):
-        return [BAG / "metadata.yaml"]
-
-    def data_iter(self):
-        layout = LidarFormatParams(
-            LidarStamp.Start, LidarPointStamp.Start, LidarMajor.Row, LidarDensity.AllPoints
-        )
-        return RosbagIter(BAG, {points!r}, {inertial!r}, self.lidar_params(), lidar_format=layout)
-
-    def ground_truth_raw(self):
-        stamps, poses = [], []
-        with AnyReader([BAG]) as reader:
-            topic = [c for c in reader.connections if c.topic == {truth!r}]
-            for connection, _, data in reader.messages(connections=topic):
-                message = reader.deserialize(data, connection.msgtype)
-                p, q, t = message.pose.position, message.pose.orientation, message.header.stamp
-                stamps.append(Stamp(sec=t.sec, nsec=t.nanosec))
-                poses.append(SE3(SO3(qx=q.x, qy=q.y, qz=q.z, qw=q.w), np.array([p.x, p.y, p.z])))
-        return Trajectory(stamps=stamps, poses=poses)
-
-    def imu_T_lidar(self):
-        return SE3(SO3(qx={q[1]!r}, qy={q[2]!r}, qz={q[3]!r}, qw={q[0]!r}), np.array({p!r}))
-
-    def imu_T_gt(self):
-        return SE3.identity()
-
-    def imu_params(self):
-        gravity = np.array([0, 0, -{gravity!r}])
-        return ImuParams(gyro={gyro!r}, accel={accel!r}, gravity=gravity, rate={rate!r})
-
-    def lidar_params(self):
-        return LidarParams(
-            num_rows={rows}, num_columns={columns}, min_range={near!r}, max_range={far!r}, rate={sweeps!r}
-        )
-
-    def quick_len(self):
-        return {clouds}
-'''
+DATASET = Path(__file__).with_name("evalio_dataset.txt")
+"""Text of the module with the data set, whose {fields} a run fills."""
 
 
 def export_run(
@@ -113,8 +47,7 @@ def export_run(
         "evalio": _export_evalio,
     }
     for name in formats:
-        if name not in exporters:
-            raise unknown_name("format", name, exporters)
+        require_known("format", name, exporters)
     return [exporters[name](run, out) for name in formats]
 
 
@@ -199,7 +132,7 @@ def _export_evalio(run: RunFolder, out: Path) -> Path:
     robot, folder = make_robot(config.robot), out / "evalio"
     lidar, mount = make_lidar_preset(config.lidar or robot.lidar), robot.T_base_laser
     noise = InertialNoise()
-    text = TEXT.format(
+    text = DATASET.read_text(encoding="utf-8").format(
         module=MODULE,
         sequence=re.sub(r"\W", "_", run.folder.resolve().name.lower()),
         bag=os.path.relpath(run.folder, folder),

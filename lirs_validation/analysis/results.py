@@ -19,8 +19,7 @@ from lirs_validation.sweep.sweep import MANIFEST, read_status
 from lirs_validation.sweep.tasks import STATUS, read_verdict
 from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
 from lirs_wct.errors import reason_of
-from lirs_wct.formats import carmen_log, drive_files
-from lirs_wct.formats.laser_log import LaserLog
+from lirs_wct.formats import carmen_log, drive_files, laser_log
 from lirs_wct.world import TEXTURE_OPTIONS
 from slam_baselines.front_end import KnownPoseMapper
 
@@ -181,7 +180,7 @@ def recorded_truth(folder: Path) -> Trajectory:
     return truth
 
 
-def read_sensors(folder: Path, config: RunConfig) -> tuple[Trajectory, LaserLog, tuple[Imu, ...]]:
+def read_sensors(folder: Path, config: RunConfig) -> tuple[Trajectory, laser_log.LaserLog, tuple[Imu, ...]]:
     """Return true poses, scans and inertial readings of a run, one of each a scan.
 
     The log's messages hold only the planar part of the laser's mount; the robot gives all of it.

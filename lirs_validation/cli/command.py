@@ -16,7 +16,7 @@ from rich.panel import Panel
 from rich.table import Table
 
 from lirs_validation.cli.progress import note, out, progress_bar
-from lirs_wct.errors import ConfigError, did_you_mean, unknown_name
+from lirs_wct.errors import ConfigError, did_you_mean, require_known
 from lirs_wct.formats import Storage
 from lirs_wct.option import Option, Options, argument, declared, option
 
@@ -35,7 +35,7 @@ COMMANDS: Mapping[str, str] = {
     "compare": "lirs_validation.cli.commands.reports:compare",
     "score": "lirs_validation.cli.commands.reports:score",
     "info": "lirs_validation.cli.commands.worlds:info",
-    "gui": "lirs_validation.cli.commands.gui:gui",
+    "gui": "lirs_validation.cli.commands.worlds:gui",
     "list": "lirs_validation.cli.commands.installation:list_names",
     "export": "lirs_validation.cli.commands.reports:export",
     "record": "lirs_validation.cli.commands.validate:record",
@@ -177,8 +177,7 @@ class Command(click.Command):
             name, options = name.strip().replace("-", "_"), {**self.rare, **self.own}
             if not equals:
                 raise ConfigError(f"--option must be NAME=VALUE, got {text!r}")
-            if name not in options:
-                raise unknown_name("--option", name, options)
+            require_known("--option", name, options)
             if name in values:
                 raise ConfigError(f"--option {text}: {name} is given already")
             values[name] = options[name].read(value, f"--option {name}")

@@ -30,8 +30,7 @@ from lirs_validation.driving.paths import (
     smooth_path,
     speed_profile,
 )
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
-from lirs_wct.geometry import OCCUPIED, OccupancyGrid, Pose2
+from lirs_wct.geometry import OCCUPIED, BoolArray, FloatArray, IntArray, OccupancyGrid, Pose2, njit
 
 RESOLUTION = 0.1
 """Meters a cell, at least: finer maps are thinned out."""

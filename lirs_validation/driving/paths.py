@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.errors import Checked, ConfigError, limited
-from lirs_wct.geometry import OccupancyGrid, Pose2
+from lirs_wct.geometry import BoolArray, FloatArray, IntArray, OccupancyGrid, Pose2, njit
 
 COMFORTABLE = 0.6
 """Preferred distance of a path to blocked cells, meters."""

@@ -1,17 +1,20 @@
-"""One validation run, as in the paper's experiment: build the world, drive, map, evaluate, write."""
+"""One validation run, as in the paper's experiment: build the world, drive, map, record, evaluate, write."""
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_envs.robots.robot import Twist, make_robot
+from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import FRONTIER, STAND, RunConfig
 from lirs_validation.driving.choice import COMMANDS, check_driver, make_driver
@@ -19,23 +22,34 @@ from lirs_validation.driving.frontier_route import warm_up_explorer
 from lirs_validation.experiment.drive import DriveLog, Driver, drive
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_drive, evaluate_maps
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_sensors, start_mapper
-from lirs_validation.experiment.recording import Recording, recording
-from lirs_validation.experiment.scenario import Scenario, ScenarioCache
+from lirs_validation.experiment.scenario import Scenario, ScenarioCache, sensor_noise
 from lirs_validation.metrics.elevation import ELEVATION, write_elevation
 from lirs_validation.processes import CostMeter, compile_timer, load_average
-from lirs_validation.record.run_record import RunRecord
+from lirs_validation.record.run_record import BAG, RunRecord
 from lirs_validation.record.verdict import Verdict
-from lirs_wct import BuildOptions, ConfigError, Pose2, Progress, SimulationError, World, no_progress
-from lirs_wct.files import atomic_folder, check_writable
+from lirs_wct import (
+    BuildOptions,
+    ConfigError,
+    OccupancyGrid,
+    Pose2,
+    Pose3,
+    Progress,
+    SimulationError,
+    World,
+    no_progress,
+)
+from lirs_wct.files import atomic_folder, check_writable, scratch_folder
 from lirs_wct.formats import drive_files, map_server
 from lirs_wct.option import check_names
 from slam_baselines.mapper import MAPPERS, warm_up as warm_up_mapper
 
-_WARM: set[str] = set()
-"""Mappers whose kernels this process has compiled."""
-
 if TYPE_CHECKING:
     from lirs_wct.drawing.canvas import Drawing
+    from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors
+    from lirs_wct.formats.rosbag.writer import BagWriter
+
+_WARM: set[str] = set()
+"""Mappers whose kernels this process has compiled."""
 
 
 @dataclass(frozen=True)
@@ -305,3 +319,71 @@ def conclude(
         built = None if maps.built is None else maps.built.moved(T_map_world)
         run.write(run.folder, () if recorder is None else recorder.finish(built), drawn=not brief)
     return run
+
+
+class Recording:
+    """The bag of a drive, with the mapper's results (`map` on /tf, /map) if `slam`."""
+
+    def __init__(self, writer: BagWriter, folder: Path, *, slam: bool = True) -> None:
+        self._writer, self._folder, self._slam = writer, folder, slam
+        self._T_map_world: Pose3 | None = None
+
+    def add(self, observation: Observation, T_world_base: Pose3, T_map_base: Pose2) -> None:
+        """Record an observation, the true pose and the mapper's pose."""
+        if self._T_map_world is None:
+            self._T_map_world = Pose3.from_pose2(T_world_base.to_pose2().inverse())
+        estimate = T_map_base if self._slam else None
+        self._writer.add(bag_tick(observation, self._T_map_world @ T_world_base, estimate))
+
+    def finish(self, grid: OccupancyGrid | None) -> Sequence[Path]:
+        """Write the map (map frame) if any, close the bag, return its files."""
+        self._writer.close(grid if self._slam else None)
+        return sorted(self._folder.iterdir())
+
+
+def bag_tick(observation: Observation, T_map_truth: Pose3, T_map_base: Pose2 | None) -> BagTick:
+    """Return the messages' values of an observation, the true pose and the mapper's pose."""
+    from lirs_wct.formats.rosbag.messages import BagTick  # prepares the layouts of all messages
+
+    return BagTick(
+        scan=observation.scan,
+        odometry=observation.odometry,
+        imu=observation.imu,
+        truth=T_map_truth,
+        estimate=T_map_base,
+        cloud=observation.cloud,
+        inertial=observation.inertial,
+        odometry_track=observation.odometry_track,
+    )
+
+
+def sensor_errors(config: RunConfig) -> SensorErrors:
+    """Return the standard deviations of a run's sensors, for the covariances of its bag."""
+    from lirs_wct.formats.rosbag.messages import SensorErrors
+
+    noise = sensor_noise(config)
+    imu, wheels = noise.imu, noise.odometry
+    return SensorErrors(
+        scale=wheels.scale_sigma,
+        scale_length=wheels.scale_length,
+        rate=imu.rate_sigma,
+        rate_bias=imu.rate_bias,
+        update=CONTROL_PERIOD,
+        attitude=math.hypot(imu.attitude_sigma, imu.attitude_bias),
+        acceleration=math.hypot(imu.acceleration_sigma, imu.acceleration_bias),
+    )
+
+
+@contextmanager
+def recording(config: RunConfig, out: Path, period: float) -> Iterator[Recording]:
+    """Record a drive's bag; its files are deleted unless they were moved."""
+    from lirs_wct.formats.rosbag.writer import BagWriter
+
+    assert config.bag is not None
+    with scratch_folder(out / "recording") as made:
+        folder = made / BAG
+        writer = BagWriter(folder, config.bag, period, sensor_errors(config))
+        try:
+            yield Recording(writer, folder, slam=not config.sensors_only)
+        finally:
+            writer.abort()

@@ -25,7 +25,7 @@ from lirs_validation.report.pictures import with_paths
 from lirs_wct import ByteArray, FloatArray, HeightField, Pose3, World
 from lirs_wct.drawing.canvas import BLUE, Canvas, bounds_of
 from lirs_wct.export.appearance import world_parts
-from lirs_wct.geometry.grid import fewer_nodes
+from lirs_wct.geometry import fewer_nodes
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
 

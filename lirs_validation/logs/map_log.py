@@ -61,10 +61,8 @@ from lirs_wct import (
     unknown_name,
 )
 from lirs_wct.files import atomic_folder, atomic_write, check_writable
-from lirs_wct.formats import METADATA
-from lirs_wct.formats.drive_files import write_tum
+from lirs_wct.formats import METADATA, drive_files, map_server
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.rosbag.topics import ANY
 from lirs_wct.option import check_names, command_line
 from lirs_wct.sources.bundled import RECIPES
@@ -165,8 +163,8 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     folder = out / mapped.record.name
     with atomic_folder(folder) as temporary:
         mapped.record.save(temporary)
-        write_map(temporary / "map", mapped.grid)
-        write_tum(temporary / "estimate.tum", mapped.trajectory)
+        map_server.write_map(temporary / "map", mapped.grid)
+        drive_files.write_tum(temporary / "estimate.tum", mapped.trajectory)
         mapped.overview().savefig(temporary / "overview.png")
     return replace(mapped, folder=folder)
 
@@ -426,7 +424,7 @@ def _read_ending(folder: Path) -> tuple[str, str] | None:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         ended, written_by = (str(record["status"]), str(record["reason"])), record["versions"]
-        read_map(folder / "map.yaml")
+        map_server.read_map(folder / "map.yaml")
     except (OSError, ValueError, KeyError, TypeError, RecursionError, SourceError):
         return None
     # The folder's name holds the digest of the log: another content is another folder.

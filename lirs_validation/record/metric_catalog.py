@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from lirs_wct.errors import unknown_name
+from lirs_wct.errors import require_known
 
 NOTHING = "-"
 """Text of a value that does not exist."""
@@ -244,8 +244,7 @@ def metrics_named(keys: Sequence[str]) -> tuple[Metric, ...]:
     """Return metrics by their keys."""
     known = {metric.key: metric for metric in METRICS}
     for key in keys:
-        if key not in known:
-            raise unknown_name("metric", key, known)
+        require_known("metric", key, known)
     return tuple(known[key] for key in keys)
 
 

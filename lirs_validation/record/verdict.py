@@ -389,21 +389,23 @@ def _path_sentence(figures: VerdictFigures) -> str:
 
 
 def _report_sentence(entry: Entry, *, lost: bool) -> str:
-    """Return whether the method reported its loss, and how often it was wrong."""
+    """Return whether the method and the watch reported its loss, and how often it was wrong."""
     failure: Entry = value_at(entry, "trajectory.failure") or {}
     clauses, false = list[str](), value_at(failure, "mapper.false")
     if lost and failure.get("onset") is not None:
-        delay = value_at(failure, "mapper.delay")
-        if delay is None:
-            clauses.append("It did not notice.")
-        else:
-            clauses.append(
-                f"It said so {f'after {delay:.1f} s' if delay >= 0 else f'{-delay:.1f} s before'}."
-            )
+        own, watch = value_at(failure, "mapper.delay"), value_at(failure, "watch.delay")
+        clauses.append("It did not notice." if own is None else f"It said so {_moment(own)}.")
+        if own is None and watch is not None:
+            clauses.append(f"The watch on its poses gave an alarm {_moment(watch)}.")
     if false:
         times = "once" if false == 1 else f"{false} times"
         clauses.append(f"It reported itself lost {times} without being lost.")
     return " ".join(clauses)
+
+
+def _moment(delay: float) -> str:
+    """Return the time of a report, seconds after the onset of a failure, in words."""
+    return f"after {delay:.1f} s" if delay >= 0 else f"{-delay:.1f} s before"
 
 
 def _map_sentence(figures: VerdictFigures, limits: VerdictLimits) -> str:

@@ -29,9 +29,8 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_validation.processes import ChildProcess, importable
 from lirs_validation.sweep.sweep import Outcome, ProgressOf, SweepTask, outcome_of
-from lirs_wct.errors import ConfigError
+from lirs_wct import ConfigError, Progress, no_progress
 from lirs_wct.files import atomic_folder, remove_leftovers
-from lirs_wct.progress import Progress, no_progress
 
 T = TypeVar("T")
 Job = Callable[[Progress], T]

@@ -30,7 +30,7 @@ from lirs_validation.record.run_record import (
 )
 from lirs_validation.sweep.sweep import Executor, Outcome, Serial, SweepTask
 from lirs_wct.contact import ContactGeometry
-from lirs_wct.errors import SourceError, reason_of, unknown_name
+from lirs_wct.errors import SourceError, reason_of, require_known
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.progress import Progress
@@ -275,8 +275,7 @@ def make_suite(name: str, **options: Any) -> tuple[SweepTask, ...]:
 
     The options are those of every run, in place of the suite's own (`seconds`, `seed`, `wall_limit`).
     """
-    if name not in SUITES:
-        raise unknown_name("suite", name, SUITES)
+    require_known("suite", name, SUITES)
     tasks: list[SweepTask] = []
     for world in WORLDS:
         for mapper, view in itertools.product(MAPPERS, (OURS, SOLID, HEIGHTMAP)):

@@ -21,7 +21,7 @@ import numpy as np
 
 from lirs_wct.contact import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.contact.parts import convex_parts, prisms
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import ConfigError, require_known
 from lirs_wct.geometry import BoolArray, Float32Array, HeightField, WallGrid, njit
 from lirs_wct.geometry.mesh import MUJOCO_FACES, split_tiles
 from lirs_wct.meshing.walls import merged_rectangles
@@ -83,8 +83,7 @@ def world_spec(
 
 def check_contact_geometry(geometry: str, world: World) -> None:
     """Check that a contact geometry fits a world."""
-    if geometry not in CONTACT_GEOMETRIES:
-        raise unknown_name("terrain for MuJoCo", geometry, CONTACT_GEOMETRIES)
+    require_known("terrain for MuJoCo", geometry, CONTACT_GEOMETRIES)
     if world.walls is not None and geometry in ("prisms", "convex"):
         raise ConfigError(
             f"{world.name}: a laser map's walls are convex boxes already; legal terrains: hfield, mesh"

@@ -45,8 +45,7 @@ from lirs_wct.drawing.canvas import (
     shaded_surface,
     title,
 )
-from lirs_wct.geometry import FloatArray, HeightField, LaserScan, OccupancyGrid, Trajectory
-from lirs_wct.geometry.grid import fewer_nodes
+from lirs_wct.geometry import FloatArray, HeightField, LaserScan, OccupancyGrid, Trajectory, fewer_nodes
 from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights
 from lirs_wct.geometry.pose import AZIMUTH, ELEVATION, camera_axes
 from lirs_wct.meshing.solid import solid_mesh

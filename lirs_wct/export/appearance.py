@@ -223,6 +223,7 @@ class _Split:
     hangs: BoolArray
 
     def with_uv(self, uv: FloatArray) -> TriangleMesh:
+        """Return the mesh with texture coordinates (n, 2)."""
         return TriangleMesh(self.points, self.faces, uv, self.normals)
 
 

@@ -15,8 +15,7 @@ from PIL import Image
 from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.export.appearance import cube_uv
 from lirs_wct.files import atomic_write
-from lirs_wct.formats import MESHES
-from lirs_wct.formats.gazebo import FRICTION, GRAVITY
+from lirs_wct.formats import MESHES, gazebo
 from lirs_wct.formats.meshes.reader import TEXTURED, read_textured, read_upright, upright
 from lirs_wct.formats.meshes.writers import MeshPart, write_glb, write_obj, write_parts, write_stl
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -115,7 +114,7 @@ def write_usd(path: Path, world: World, parts: list[MeshPart]) -> None:
     stage.SetDefaultPrim(root.GetPrim())
     scene = physics.Scene.Define(stage, "/World/physics")
     scene.CreateGravityDirectionAttr(gf.Vec3f(0, 0, -1))
-    scene.CreateGravityMagnitudeAttr(GRAVITY)
+    scene.CreateGravityMagnitudeAttr(gazebo.GRAVITY)
     sun = lux.DistantLight.Define(stage, "/World/sun")
     sun.CreateIntensityAttr(SUN)
     geom.XformCommonAPI(sun.GetPrim()).SetRotate((30.0, 15.0, 0.0))
@@ -151,8 +150,8 @@ def _add_part(stage: Any, part: MeshPart) -> None:
     physics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(physics.Tokens.none)
     material = _material(stage, part)
     touched = physics.MaterialAPI.Apply(material.GetPrim())
-    touched.CreateStaticFrictionAttr(FRICTION)
-    touched.CreateDynamicFrictionAttr(FRICTION)
+    touched.CreateStaticFrictionAttr(gazebo.FRICTION)
+    touched.CreateDynamicFrictionAttr(gazebo.FRICTION)
     shade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
 
 

@@ -19,8 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write, read_text, readable_lines, write_gzipped
-from lirs_wct.formats import MAPS
-from lirs_wct.formats.yaml_text import load_yaml
+from lirs_wct.formats import MAPS, yaml_text
 from lirs_wct.geometry import FloatArray, Imu, LaserScan, Pose2, Pose3, Trajectory
 
 COMMANDS_HEADER = "time,v,omega"
@@ -208,7 +207,7 @@ def read_waypoints(path: Path) -> tuple[RoutePoint, ...]:
 def _yaml_entries(path: Path, text: str) -> list[tuple[str, Any]]:
     """Return the name and the values of each waypoint; mappings of other names have none."""
     try:
-        entries = load_yaml(text)
+        entries = yaml_text.load_yaml(text)
     except ValueError as error:
         raise SourceError(f"{path}: {error}") from error
     if isinstance(entries, dict) and set(entries) == {"waypoints"}:

@@ -5,7 +5,18 @@ are imported from here.
 """
 
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray, njit
-from lirs_wct.geometry.grid import FREE, OCCUPIED, HeightField, OccupancyGrid, WallGrid, mask_at, resample
+from lirs_wct.geometry.grid import (
+    FREE,
+    OCCUPIED,
+    HeightField,
+    OccupancyGrid,
+    WallGrid,
+    fewer_nodes,
+    mask_at,
+    nearest_values,
+    resample,
+    sample_surface,
+)
 from lirs_wct.geometry.pose import (
     Pose2,
     Pose3,
@@ -44,11 +55,14 @@ __all__ = [
     "WallGrid",
     "compose_poses",
     "covariance_fault",
+    "fewer_nodes",
     "in_axes_of",
     "mask_at",
+    "nearest_values",
     "njit",
     "relative_poses",
     "resample",
+    "sample_surface",
     "wrap_angle",
     "wrap_angles",
 ]

@@ -12,8 +12,7 @@ import numpy as np
 from lirs_wct.errors import ConfigError, LogSourceError, SourceError
 from lirs_wct.formats.elevation import MAX_RELIEF, MIN_RELIEF
 from lirs_wct.formats.picture import read_picture
-from lirs_wct.geometry import Float32Array, Pose2
-from lirs_wct.geometry.grid import fewer_nodes
+from lirs_wct.geometry import Float32Array, Pose2, fewer_nodes
 from lirs_wct.ground import LaserMap, Terrain, cut_terrain
 from lirs_wct.navigation import FOOTPRINTS
 from lirs_wct.sources.laser_map import read_laser_map

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
-from lirs_wct.errors import unknown_name
+from lirs_wct.errors import require_known
 
 PIXELS = 1025
 SIZE = 50.0
@@ -67,8 +67,7 @@ class BundledPicture:
 
 def bundled_picture(name: str) -> BundledPicture:
     """Make the picture of a bundled world; the same on every call."""
-    if name not in RECIPES:
-        raise unknown_name("bundled world", name, RECIPES)
+    require_known("bundled world", name, RECIPES)
     recipe = RECIPES[name]
     rng = np.random.default_rng(recipe.seed)
     hills = _hills(recipe, rng)

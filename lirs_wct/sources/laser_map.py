@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import ConfigError, require_known
 from lirs_wct.formats.map_server import read_map, read_map_picture
 from lirs_wct.geometry import HeightField, OccupancyGrid, Pose2, WallGrid
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
@@ -51,8 +51,7 @@ def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
 
 def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> WallGrid:
     """Return the occupied cells of a map as walls, the unknown ones as asked."""
-    if unknown not in UNKNOWN:
-        raise unknown_name("kind of unknown cell", unknown, UNKNOWN)
+    require_known("kind of unknown cell", unknown, UNKNOWN)
     solid = grid.occupied | ~grid.known if unknown == "wall" else grid.occupied
     hole = ~grid.known if unknown == "hole" and not grid.known.all() else None
     return WallGrid(solid, grid.resolution, grid.origin, height, hole)

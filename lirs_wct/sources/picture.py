@@ -22,9 +22,8 @@ from lirs_wct.formats.elevation import (
     read_raster,
     tile_georeference,
 )
-from lirs_wct.geometry import Float32Array, HeightField
+from lirs_wct.geometry import Float32Array, HeightField, nearest_values, resample
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.grid import nearest_values, resample
 from lirs_wct.ground import Terrain, Window, cut_terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
 from lirs_wct.sources.source import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions, Reading, Source, SourceKind

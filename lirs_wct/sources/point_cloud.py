@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import Checked, ConfigError, SourceError, limited
 from lirs_wct.formats import elevation, point_clouds
-from lirs_wct.geometry import BoolArray, FloatArray, HeightField
+from lirs_wct.geometry import BoolArray, FloatArray, HeightField, nearest_values
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.grid import nearest_values
 from lirs_wct.ground import Terrain, leveled
 from lirs_wct.sources.source import BuildOptions, Reading, Source, local_origin
 

@@ -22,8 +22,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from lirs_wct.arrays import njit
-from lirs_wct.geometry import BoolArray, FloatArray, IntArray, relative_poses, wrap_angles
+from lirs_wct.geometry import BoolArray, FloatArray, IntArray, njit, relative_poses, wrap_angles
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.registration import invert3
 

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray, njit
-from lirs_wct.geometry import OccupancyGrid
+from lirs_wct.geometry import ByteArray, FloatArray, Int32Array, IntArray, OccupancyGrid, njit
 from slam_baselines.gmapping.patches import (
     ABSENT,
     BITS,

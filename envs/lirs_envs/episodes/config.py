@@ -13,7 +13,7 @@ from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.sensing.wheel_odometry import Method, OdometryConfig
 from lirs_envs.simulation_config import Prop, SimulationConfig
 from lirs_envs.tasks.task import Rewards
-from lirs_wct import ConfigError, Pose2, World, unknown_name
+from lirs_wct import ConfigError, Pose2, World, require_known
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import Checked, is_finite, limited, of_type
 
@@ -113,8 +113,7 @@ class EnvConfig(Checked, of="the environment"):
             raise ConfigError(f"rewards must be a mapping of names to weights, got {self.rewards!r}")
         names = [weight.name for weight in fields(Rewards)]
         for name in self.rewards:
-            if name not in names:
-                raise unknown_name("reward", str(name), names)
+            require_known("reward", name, names)
         return Rewards(**self.rewards)
 
     @property
@@ -127,8 +126,7 @@ class EnvConfig(Checked, of="the environment"):
         ranges: Mapping[str, Any]
         ranges = self.randomize if isinstance(self.randomize, Mapping) else dict.fromkeys(self.randomize)
         for name in ranges:
-            if name not in RANDOMIZED:
-                raise unknown_name("name to randomize", name, RANDOMIZED)
+            require_known("name to randomize", name, RANDOMIZED)
         return {name: RANDOMIZED[name] if r is None else _range(name, r) for name, r in ranges.items()}
 
 

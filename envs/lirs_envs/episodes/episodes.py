@@ -20,7 +20,7 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import make_site
 from lirs_envs.tasks.task import DRAWS, MIXED, TASKS, CourseScale, Stage, TraverseTask, course_scale
-from lirs_wct import ConfigError, Pose3, SimulationError, World, unknown_name
+from lirs_wct import ConfigError, Pose3, SimulationError, World, require_known
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.errors import within
 
@@ -142,8 +142,7 @@ class Episodes:
         """
         options, reason = check_options(options), ""
         for name in options:
-            if name not in self.task.option_names:
-                raise unknown_name("option of reset", name, self.task.option_names)
+            require_known("option of reset", name, self.task.option_names)
         if "difficulty" in options:
             self.set_difficulty(i, options["difficulty"])
         self._ready[i] = False
@@ -432,8 +431,7 @@ class EpisodeView:
 
 def _check_task(task: str, config: EnvConfig, kind: str | None) -> None:
     """Check that a task exists, that it is one for the robot, and that a kind is a traverse's."""
-    if task not in TASKS:
-        raise unknown_name("task", task, TASKS)
+    require_known("task", task, TASKS)
     robot = config.simulation.robot
     if robot.flies and not TASKS[task].admits_flight:
         raise ConfigError(f"the {task} task is for robots that drive, {robot.name} flies over obstacles")

@@ -14,7 +14,7 @@ from gymnasium import spaces
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.tasks.task import Stage, Task
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, njit
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import ConfigError, require_known
 
 MAP_CELLS = 64
 """Cells along a side of the seen map, of 0.25 m each."""
@@ -74,8 +74,7 @@ class Observations:
         if isinstance(names, str) or not names:
             raise ConfigError(f"observe must be a list of groups ({', '.join(GROUPS)}), got {names!r}")
         for name in names:
-            if name not in GROUPS:
-                raise unknown_name("group of observations", name, GROUPS)
+            require_known("group of observations", name, GROUPS)
         self._names, self._stage, self._task = tuple(names), stage, task
         self.space = spaces.Dict({name: GROUPS[name].space(stage) for name in self._names})
         makers = {name: make for name in self._names if (make := GROUPS[name].memory) is not None}

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 import lirs_wct
-from lirs_wct import SourceError, World, build_world
 from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.sources.source import BuildOptions, SourceKind, find_source
 
@@ -31,7 +30,7 @@ def cache_folder() -> Path | None:
     return Path(base) / "lirs-wct" / "worlds"
 
 
-def cached_world(source: str) -> World:
+def cached_world(source: str) -> lirs_wct.World:
     """Return a source's world from the cache, or build it.
 
     A cached world was built from the same bytes by the same program.
@@ -40,15 +39,15 @@ def cached_world(source: str) -> World:
 
 
 @lru_cache(maxsize=4)
-def _in_memory(source: str, key: str | None) -> World:
+def _in_memory(source: str, key: str | None) -> lirs_wct.World:
     folder = cache_folder()
     if key is None or folder is None:
-        return build_world(source)
+        return lirs_wct.build_world(source)
     place = folder / key
     try:
-        return World.load(place)
-    except SourceError:
-        world = build_world(source)
+        return lirs_wct.World.load(place)
+    except lirs_wct.SourceError:
+        world = lirs_wct.build_world(source)
     with suppress(OSError):  # without write access nothing is kept
         place.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=place.parent) as scratch:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_envs.generators.natural import fractal
+from lirs_envs.generators.terrain import fractal
 from lirs_wct import BoolArray, FloatArray, HeightField, Pose2, World
 from lirs_wct.errors import Checked, check_field, check_seed, limited
 from lirs_wct.ground import Terrain

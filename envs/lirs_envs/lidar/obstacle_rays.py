@@ -13,8 +13,7 @@ import numpy as np
 
 from lirs_envs.lidar.terrain_rays import EDGE, FAR_DISTANCE, LEAF, ROW, TerrainMipmap, clip, inverse
 from lirs_envs.walkers import HALF_LENGTH, RADIUS
-from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, njit
-from lirs_wct.geometry import WallGrid
+from lirs_wct.geometry import BoolArray, ByteArray, Float32Array, FloatArray, WallGrid, njit
 
 BLOCK = 16
 """Number of neighboring rays tested together: they mostly miss a walker together."""

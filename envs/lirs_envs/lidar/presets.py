@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError, require_within, unknown_name
+from lirs_wct.errors import ConfigError, require_known, require_within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,6 +188,5 @@ def make_lidar_preset(name: str) -> LidarPreset:
     Raises:
         ConfigError: no preset has this name; the message lists them.
     """
-    if not isinstance(name, str) or name not in LIDARS:
-        raise unknown_name("lidar", name, LIDARS)
+    require_known("lidar", name, LIDARS)
     return LIDARS[name]

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_wct.display import html_table
-from lirs_wct.errors import ConfigError, require_within, unknown_name
+from lirs_wct.errors import ConfigError, require_known, require_within
 from lirs_wct.geometry import Pose3
 
 ASSETS = Path(__file__).parent / "assets"
@@ -180,6 +180,5 @@ def make_robot(name: str) -> Robot:
     Raises:
         ConfigError: no robot has this name; the message lists them.
     """
-    if not isinstance(name, str) or name not in ROBOTS:
-        raise unknown_name("robot", name, ROBOTS)
+    require_known("robot", name, ROBOTS)
     return ROBOTS[name]

@@ -24,7 +24,7 @@ from lirs_wct import (
     PointCloud,
     Pose2,
     SourceError,
-    unknown_name,
+    require_known,
 )
 from lirs_wct.errors import Checked, check_field, limited, of_type
 from lirs_wct.files import atomic_write
@@ -205,16 +205,14 @@ def read_noise(path: Path) -> SensorNoise:
     noise = SensorNoise()
     try:
         for name, figures in entries.items():
-            if name not in SECTIONS:
-                raise unknown_name("section", str(name), SECTIONS)
+            require_known("section", name, SECTIONS)
             legal = [field.name for field in fields(SECTIONS[name])]
             if not isinstance(figures, dict):
                 raise ConfigError(
                     f"section {name} must hold fields, got {figures!r}; legal: {', '.join(legal)}"
                 )
             for key in figures:
-                if key not in legal:
-                    raise unknown_name(f"field of {name}", str(key), legal)
+                require_known(f"field of {name}", key, legal)
             noise = replace(noise, **{name: SECTIONS[name](**figures)})
     except ConfigError as error:
         raise SourceError(f"{path}: {error}") from error

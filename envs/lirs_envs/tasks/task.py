@@ -15,7 +15,7 @@ from lirs_envs.robots.robot import ROBOTS, Robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import SEEN_CELL, SeenFrame, Site, draw_goal, seen_frame
-from lirs_wct import BoolArray, ConfigError, FloatArray, IntArray, Pose2, SimulationError, unknown_name
+from lirs_wct import BoolArray, ConfigError, FloatArray, IntArray, Pose2, SimulationError, require_known
 from lirs_wct.errors import Checked, limited
 
 DRAWS = 100
@@ -418,9 +418,8 @@ class TraverseTask(GoalTask):
 
 def check_kind(kind: Any) -> str:
     """Return a kind of course."""
-    if not isinstance(kind, str) or kind not in (*KINDS, MIXED):
-        raise unknown_name("kind of terrain", kind, (*KINDS, MIXED))
-    return kind
+    require_known("kind of terrain", kind, (*KINDS, MIXED))
+    return str(kind)
 
 
 def point(value: Any, size: int, name: str) -> tuple[float, ...]:

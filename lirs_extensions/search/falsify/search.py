@@ -20,9 +20,16 @@ from lirs_envs.sensing.sensors import SensorFaults, SensorNoise, write_noise
 from lirs_extensions.bench.episode import episode_metrics, run_episode
 from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.tasks import BenchTask, WorldSpec
-from lirs_extensions.search.case_search import Case, SearchParameter, SearchSpace, Trials, shrink, trial_key
+from lirs_extensions.search.case_search import (
+    Case,
+    SearchParameter,
+    SearchSpace,
+    TrialArchive,
+    make_proposer,
+    shrink,
+    trial_key,
+)
 from lirs_extensions.search.options import FAILURE_FACTOR, POLICY_TASK, FalsifyOptions
-from lirs_extensions.search.proposers import make_proposer
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.record.verdict import LIMITS, classify, run_figures
@@ -285,7 +292,7 @@ class CaseDrives:
         self.options, self.limits = options, limits
         self.history: list[tuple[str, Case, int, DriveScore]] = []
         self.stage = "search"
-        self._archive = Trials(out / ARCHIVE, DriveScore, pool)
+        self._archive = TrialArchive(out / ARCHIVE, DriveScore, pool)
 
     @property
     def count(self) -> int:

@@ -12,15 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import BagOptions, common, map_logs, sources_argument
-from lirs_validation.cli.exit_codes import ExitCode
-from lirs_validation.cli.progress import command_line, note, out, progress_bar, run_sweep, say
+from lirs_validation.cli.progress import ExitCode, command_line, note, out, progress_bar, run_sweep, say
 from lirs_validation.config import DRIVABLE, RUN_AXES, STAND, EngineOptions, RunConfig, World, run_name
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import LIMITS, Verdict, VerdictLimits, read_limits, stored_verdict
+from lirs_wct import BuildOptions, ConfigError, OutputError, SourceError, WctError
 from lirs_wct.contact import ContactGeometry
-from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
 from lirs_wct.option import Options, option
-from lirs_wct.sources.source import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict

@@ -1,22 +1,22 @@
-"""Commands about sources: `build`, `info`, `map`, `convert`."""
+"""Commands about sources: `build`, `info`, `map`, `convert`, `gui`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from click.exceptions import Exit
 
 import lirs_wct
-from lirs_validation.cli.command import OneSource, common, map_logs
-from lirs_validation.cli.exit_codes import ExitCode
-from lirs_validation.cli.progress import err, out, progress_bar, say
+from lirs_validation.cli.command import SOURCE_HELP, OneSource, common, complete_source, map_logs
+from lirs_validation.cli.progress import ExitCode, err, out, progress_bar, say
 from lirs_validation.config import LogOptions, MapConfig
 from lirs_wct.ground import RotationOptions
-from lirs_wct.option import Options, argument, option
-from lirs_wct.sources.source import BuildOptions, is_log
+from lirs_wct.option import Options, argument, option, within
+from lirs_wct.sources.source import BuildOptions, find_source, is_log
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -65,6 +65,20 @@ class ConvertCommand(Options):
 
     source: Path = argument("Mesh: stl, dae, obj, ply, glb.", "IN")
     target: Path = argument("Mesh in another of these formats.", "OUT")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuiOptions(Options):
+    """Source, runs and address of `gui`."""
+
+    source: str | None = argument(f"Shown first: {SOURCE_HELP}", "[SOURCE]", None, complete=complete_source)
+    runs: Path = option(Path("out"), "Folder of finished runs, or one run's, that pages may replay.")
+    port: int = option(8080, "Port to listen at; 0 = any free one.", check=within("[0, 65535]"))
+    host: str = option(
+        "127.0.0.1",
+        "Address to listen at; 0.0.0.0 = every network that this machine is in.",
+        metavar="ADDRESS",
+    )
 
 
 @common(*_SCALE, "output", "to", "name", "max_error", "texture")
@@ -180,6 +194,24 @@ def convert(options: ConvertCommand, rotation: RotationOptions) -> None:
         mesh = convert_mesh(source, target, rotation.rotate_x)
     closed = "watertight" if mesh.is_watertight else "not watertight"
     say(f"{target}: {len(mesh.faces)} triangles, {closed}")
+
+
+def gui(options: GuiOptions) -> None:
+    """Build worlds, drive robots and replay runs in a browser; ends with Ctrl-C.
+
+    Examples:
+    lirs-wct gui medium --port 8080
+    """
+    if find_spec("viser") is None:
+        raise lirs_wct.ConfigError("the live page needs viser: pip install '.[gui]'")
+    from lirs_validation.gui.server import Server
+
+    if options.source is not None:
+        find_source(options.source, BuildOptions())
+    runs = options.runs if options.runs.is_dir() else None
+    server = Server(options.source, runs=runs, host=options.host, port=options.port)
+    say(f"{server.address}: open it in a browser, Ctrl-C ends it")
+    server.serve()
 
 
 def _facts_table(title: str, facts: Iterable[tuple[str, str]]) -> Table:

@@ -17,9 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats import Clock
+from lirs_wct.formats import Clock, range_codes
 from lirs_wct.formats.laser_log import LaserLog, LineStamps, LogTopic, Message, in_file_order, odometry_of
-from lirs_wct.formats.range_codes import RangeDecoder
 from lirs_wct.formats.rosbag.frames import Frames, Step, is_finite, one_source, pose_of, seconds
 from lirs_wct.formats.rosbag.open_bag import Bag, open_bag
 from lirs_wct.formats.rosbag.sensor_messages import (
@@ -326,7 +325,9 @@ def _scans(
         own = [k for k, each in enumerate(c.lasers) if each == laser]
         try:
             *_, shortest, farthest = geometry(c.beams[own[0]], len(messages[own[0]].ranges))
-            decoders[laser] = RangeDecoder([messages[k].ranges for k in own], (shortest, farthest), range_max)
+            decoders[laser] = range_codes.RangeDecoder(
+                [messages[k].ranges for k in own], (shortest, farthest), range_max
+            )
         except ValueError as error:
             raise SourceError(f"{path}: {c.names[0]} has {error}") from None
         for code in decoders[laser].codes:

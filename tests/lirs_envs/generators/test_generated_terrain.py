@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from lirs_envs.generators.floor_plan import CELL, SIZE, floor_plan
-from lirs_envs.generators.natural import NATURAL_TERRAINS, with_rocks
-from lirs_envs.generators.terrain import HEIGHT_RANGE, KINDS, GeneratedTerrain, generate, scaled_height_range
+from lirs_envs.generators.terrain import (
+    HEIGHT_RANGE,
+    KINDS,
+    NATURAL_TERRAINS,
+    GeneratedTerrain,
+    generate,
+    scaled_height_range,
+    with_rocks,
+)
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.simulation_config import standing_pose
 from lirs_wct.errors import ConfigError

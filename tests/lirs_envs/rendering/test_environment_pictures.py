@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lirs_envs  # noqa: F401  registers
-from lirs_envs.map_view import PATH
+from lirs_envs.rendering import PATH
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.world import World
 

@@ -9,8 +9,19 @@ import numpy as np
 import pytest
 
 from lirs_envs.generators.terrain import generate
-from lirs_envs.map_view import GOAL, PATH, ROBOT, SCAN, WALKER, MapView, Snapshot
-from lirs_envs.rendering import CHASE, MAX_ERROR, Camera, RenderScene
+from lirs_envs.rendering import (
+    CHASE,
+    GOAL,
+    MAX_ERROR,
+    PATH,
+    ROBOT,
+    SCAN,
+    WALKER,
+    Camera,
+    MapView,
+    RenderScene,
+    Snapshot,
+)
 from lirs_envs.robots.robot import Robot, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation

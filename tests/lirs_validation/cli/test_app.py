@@ -117,7 +117,7 @@ def test_what_is_no_list_of_seeds_is_told(text: str) -> None:
 
 
 def test_it_needs_its_extra(wct: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lirs_validation.cli.commands.gui.find_spec", lambda _: None)
+    monkeypatch.setattr("lirs_validation.cli.commands.worlds.find_spec", lambda _: None)
     code, _, err = wct("gui")
     assert code == 2
     assert "pip install '.[gui]'" in err

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
+from lirs_envs.generators.terrain import EDGE, NATURAL_TERRAINS, NODES
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.simulation_config import standing_pose
 from lirs_validation.collision.drives import places

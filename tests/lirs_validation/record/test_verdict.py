@@ -215,6 +215,15 @@ def test_the_sentence_says_whether_a_loss_was_reported(
     assert ("notice" in verdict.sentence or "said so" in verdict.sentence) == (onset is not None)
 
 
+def test_the_sentence_names_an_alarm_of_the_watch_that_the_method_missed() -> None:
+    failure = {"onset": 12.0, "mapper": {"delay": None, "false": 0}, "watch": {"delay": -1.12, "false": 3}}
+    lost = ENTRY | {"trajectory": ENTRY["trajectory"] | {"ate_rmse": 0.9, "failure": failure}}
+    words = "It did not notice. The watch on its poses gave an alarm 1.1 s before."
+    assert words in judge(lost).sentence
+    failure["mapper"]["delay"] = 2.0
+    assert "watch" not in judge(lost).sentence
+
+
 PAIR = {"f1": 0.67, "f1_aligned": 0.94, "false_occupied_aligned": 0.13, "reference_false_occupied": 0.0}
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from lirs_extensions.search.case_search import Trials
+from lirs_extensions.search.case_search import TrialArchive
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.sweep.engines import Processes, WorkerPool
 from lirs_validation.sweep.sweep import Executor, Serial, Sweep
@@ -139,9 +139,9 @@ def test_a_worker_does_many_jobs_and_an_error_is_raised() -> None:
 @pytest.mark.slow
 def test_a_search_keeps_the_order_of_its_trials_in_processes(tmp_path: Path) -> None:
     trials = [(f"{k}", (k,)) for k in range(8)]
-    alone = Trials(tmp_path / "alone.jsonl", Loss)
+    alone = TrialArchive(tmp_path / "alone.jsonl", Loss)
     with WorkerPool(2) as pool:
-        shared = Trials(tmp_path / "shared.jsonl", Loss, pool)
+        shared = TrialArchive(tmp_path / "shared.jsonl", Loss, pool)
         assert shared.scores(measure, trials, "hector") == alone.scores(measure, trials, "hector")
         with pytest.raises(WctError, match="a process that drove hector died; the same command continues"):
             shared.scores(die, [("9", (9,))], "hector")

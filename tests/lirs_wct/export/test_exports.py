@@ -13,8 +13,7 @@ import trimesh
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError
-from lirs_wct.export.ground_truth_map import ground_truth_map
-from lirs_wct.export.package import write_package
+from lirs_wct.export.package import ground_truth_map, write_package
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose2

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_extensions.search.case_search import Case
+from lirs_extensions.search.case_search import Case, CmaProposer, make_proposer, require_cma
 from lirs_extensions.search.falsify import search as search_module
 from lirs_extensions.search.falsify.search import (
     ARCHIVE,
@@ -20,7 +20,6 @@ from lirs_extensions.search.falsify.search import (
     loss,
 )
 from lirs_extensions.search.options import FalsifyOptions
-from lirs_extensions.search.proposers import CmaProposer, make_proposer, require_cma
 from lirs_wct.errors import ConfigError, OutputError
 
 LIMITS = SearchLimits()
