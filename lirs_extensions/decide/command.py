@@ -11,7 +11,8 @@ from typing import Annotated, Any
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import common, map_logs, sources_argument
-from lirs_validation.cli.progress import ExitCode, command_line, out, say
+from lirs_validation.cli.exit_codes import ExitCode
+from lirs_validation.cli.progress import command_line, out, say
 from lirs_validation.config import EngineOptions, RunConfig, World
 from lirs_wct import ConfigError
 from lirs_wct.option import Options, option

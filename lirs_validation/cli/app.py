@@ -14,7 +14,8 @@ from typing import Any
 import click
 
 from lirs_validation.cli.command import PROGRAM
-from lirs_validation.cli.progress import ExitCode, note
+from lirs_validation.cli.exit_codes import ExitCode
+from lirs_validation.cli.progress import note
 from lirs_validation.processes import importable, is_interrupt, raise_interrupts
 from lirs_wct.errors import MapperError, WctError
 

@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
-from enum import IntEnum
 from functools import partial
 from threading import Timer
 from typing import TYPE_CHECKING
@@ -24,20 +23,12 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from lirs_validation.cli.exit_codes import ExitCode
 from lirs_wct import OutputError, Progress
 
 if TYPE_CHECKING:
     from lirs_validation.config import EngineOptions
     from lirs_validation.sweep.sweep import Executor, Outcome, Sweep
-
-
-class ExitCode(IntEnum):
-    """Exit codes of commands, beside 0 for success."""
-
-    BAD_INPUT = 2
-    RUN_FAILED = 3
-    GATE_FAILED = 4
-    INTERRUPTED = 130
 
 
 FILE_COLUMNS = 200

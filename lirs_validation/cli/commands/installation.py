@@ -20,7 +20,8 @@ from click.exceptions import Exit
 from rich.markup import escape
 from rich.table import Table
 
-from lirs_validation.cli.progress import ExitCode, out, say
+from lirs_validation.cli.exit_codes import ExitCode
+from lirs_validation.cli.progress import out, say
 from lirs_wct.errors import unknown_name
 from lirs_wct.option import Options, argument
 

@@ -11,7 +11,8 @@ from typing import Literal
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import BagOptions
-from lirs_validation.cli.progress import ExitCode, err, note, out, say
+from lirs_validation.cli.exit_codes import ExitCode
+from lirs_validation.cli.progress import err, note, out, say
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options, argument, option, read_pairs
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import BagOptions, common, map_logs, sources_argument
-from lirs_validation.cli.progress import ExitCode, command_line, note, out, progress_bar, run_sweep, say
+from lirs_validation.cli.exit_codes import ExitCode
+from lirs_validation.cli.progress import command_line, note, out, progress_bar, run_sweep, say
 from lirs_validation.config import DRIVABLE, RUN_AXES, STAND, EngineOptions, RunConfig, World, run_name
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import LIMITS, Verdict, VerdictLimits, read_limits, stored_verdict

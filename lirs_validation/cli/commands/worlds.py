@@ -12,7 +12,8 @@ from click.exceptions import Exit
 
 import lirs_wct
 from lirs_validation.cli.command import SOURCE_HELP, OneSource, common, complete_source, map_logs
-from lirs_validation.cli.progress import ExitCode, err, out, progress_bar, say
+from lirs_validation.cli.exit_codes import ExitCode
+from lirs_validation.cli.progress import err, out, progress_bar, say
 from lirs_validation.config import LogOptions, MapConfig
 from lirs_wct.ground import RotationOptions
 from lirs_wct.option import Options, argument, option, within
