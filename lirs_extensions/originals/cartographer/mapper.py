@@ -1,8 +1,8 @@
 """Planar Cartographer as in Google's program, without IMU.
 
 Hess et al. 2016, as the authors' program has it (cartographer 2D): local SLAM in submaps of probabilities, a
-pose graph that ties consecutive nodes by odometry and by local SLAM, loops without verification. No attitude,
-no ground filter: on uneven ground hillsides are walls. It never reports that it is lost.
+pose graph with constraints between consecutive nodes by odometry and local SLAM, loops without verification.
+No attitude, no ground filter: on uneven ground hillsides are walls. It never reports that it is lost.
 """
 
 from __future__ import annotations

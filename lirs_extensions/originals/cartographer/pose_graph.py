@@ -183,7 +183,7 @@ def _sum_bounds(bounds: Any, cells: Any, row: int, col: int, half: int, sums: An
     sums[0], sums[1], sums[2], sums[3] = near, above, right, far
 
 
-def pose_tie(
+def pose_constraint(
     a: int, b: int, measured: Pose2, weights: tuple[float, float], *, loop: bool = False
 ) -> PoseConstraint:
     """Return a constraint of pose b in a's frame, weighted in 1/m and 1/rad."""
@@ -209,8 +209,8 @@ class GraphHessian(NamedTuple):
 class PoseGraphProblem:
     """Least-squares problem over all submaps but the first (3,), and all nodes.
 
-    Nodes are tied to submaps (a), and to the node before (a). A loop counts linearly from the weighted error
-    `huber_scale` on.
+    Constraints lead from submaps (a) to nodes, and from the node before (a). A loop counts linearly from the
+    weighted error `huber_scale` on.
     """
 
     first: FloatArray
@@ -230,13 +230,13 @@ class PoseGraphProblem:
         submaps, nodes = self.poses(x)
         s, n = len(submaps), len(nodes)
         (Hs, gs), (Hn, gn) = ((np.zeros((k, 3, 3)), np.zeros((k, 3))) for k in (s, n))
-        cost, weighted = self._weigh_ties(submaps, nodes)
+        cost, weighted = self._weigh_constraints(submaps, nodes)
         B, E = np.empty((len(weighted.a), 3, 3)), np.empty((len(self.to_nodes.a), 3, 3))
         linearize(weighted, submaps, nodes, 1.0, (Hs, gs), (Hn, gn), B)
         linearize(self.to_nodes, nodes, nodes, 1.0, (Hn, gn), (Hn, gn), E)
         chain, cross = np.zeros((max(0, n - 1), 3, 3)), np.zeros((n, 3, s, 3))
         np.add.at(chain, self.to_nodes.a, E)
-        # A node is tied to a submap at most once.
+        # A node is constrained to a submap at most once.
         cross[weighted.b, :, weighted.a] = B.transpose(0, 2, 1)
         hessian = GraphHessian(Hs[1:], Hn, chain, cross[:, :, 1:].reshape(3 * n, 3 * (s - 1)))
         diagonal = np.concatenate((Hs[1:], Hn))[:, range(3), range(3)].ravel()
@@ -256,23 +256,23 @@ class PoseGraphProblem:
         step = -solve(S, equations.gradient[:split] - H.cross.T @ solved[:, -1], assume_a="pos")
         return np.concatenate((step, -solved[:, -1] - solved[:, :-1] @ step))
 
-    def _weigh_ties(self, submaps: FloatArray, nodes: FloatArray) -> tuple[float, PoseConstraints]:
-        """Return the cost, and the ties to submaps with the weights of Huber's loss."""
-        ties, chain = self.to_submaps, self.to_nodes
+    def _weigh_constraints(self, submaps: FloatArray, nodes: FloatArray) -> tuple[float, PoseConstraints]:
+        """Return the cost, and the constraints to submaps with the weights of Huber's loss."""
+        by_scan, chain = self.to_submaps, self.to_nodes
         square, by_chain = (
             np.einsum("mi,mij,mj->m", e, t.information, e)
             for t, e in (
-                (ties, errors(submaps[ties.a], nodes[ties.b], ties.z)),
+                (by_scan, errors(submaps[by_scan.a], nodes[by_scan.b], by_scan.z)),
                 (chain, errors(nodes[chain.a], nodes[chain.b], chain.z)),
             )
         )
         a = self.huber_scale
         length = np.sqrt(square)
-        far = ties.robust & (length > a)
+        far = by_scan.robust & (length > a)
         cost = 0.5 * float(np.where(far, a * (2 * length - a), square).sum() + by_chain.sum())
         weights = np.where(far, a / np.maximum(length, a), 1.0)
-        information = ties.information * weights[:, None, None]
-        return cost, ties._replace(information=information, robust=np.zeros(len(ties.a), np.bool_))
+        information = by_scan.information * weights[:, None, None]
+        return cost, by_scan._replace(information=information, robust=np.zeros(len(by_scan.a), np.bool_))
 
 
 def _band(diagonal: FloatArray, chain: FloatArray) -> FloatArray:
@@ -316,7 +316,7 @@ class OriginalPoseGraph:
         self._submap_poses: list[Pose2] = []
         self._searchers: dict[int, LoopSearcher] = {}
         self._members: list[set[int]] = []
-        self._ties: list[PoseConstraint] = []
+        self._to_submaps: list[PoseConstraint] = []
         self._chain: list[PoseConstraint] = []
         self._nodes_since = 0
         self._optimized = 0
@@ -336,13 +336,13 @@ class OriginalPoseGraph:
         return searched + sum(node.points.nbytes for node in self.nodes)
 
     def add_node(self, node: TrajectoryNode) -> None:
-        """Tie a node to its submaps, search loops, optimize if due."""
+        """Constrain a node to its submaps, search loops, optimize if due."""
         c, index = self._config, len(self.nodes)
         self._add_submaps(node)
         oldest = node.submaps[0]
         self.nodes.append(node)
         self._node_poses.append(self._submap_poses[oldest] @ self._submaps[oldest].pose.inverse() @ node.pose)
-        self._tie(node, index)
+        self._constrain(node, index)
         for submap in self._searchers:
             self._search(index, submap)
         if node.finished:
@@ -373,26 +373,26 @@ class OriginalPoseGraph:
             self._submap_poses.append(pose)
             self._members.append(set())
 
-    def _tie(self, node: TrajectoryNode, index: int) -> None:
-        """Tie a node to its submaps, and to the last node by SLAM and odometry."""
+    def _constrain(self, node: TrajectoryNode, index: int) -> None:
+        """Constrain a node to its submaps, and to the last node by SLAM and odometry."""
         c = self._config
         for i in node.submaps:
             self._members[i].add(index)
             measured = self._submaps[i].pose.inverse() @ node.pose
             weights = c.matcher_translation_weight, c.matcher_rotation_weight
-            self._ties.append(pose_tie(i, index, measured, weights))
+            self._to_submaps.append(pose_constraint(i, index, measured, weights))
         for before, now in pairwise(self.nodes[-2:]):
             if before.odometry is not None and now.odometry is not None:
                 moved = before.odometry.inverse() @ now.odometry
                 moved = Pose2(yaw=before.heading) @ moved @ Pose2(yaw=-now.heading)
                 weights = c.odometry_translation_weight, c.odometry_rotation_weight
-                self._chain.append(pose_tie(index - 1, index, moved, weights))
+                self._chain.append(pose_constraint(index - 1, index, moved, weights))
             weights = c.local_slam_pose_translation_weight, c.local_slam_pose_rotation_weight
             moved = before.pose.inverse() @ now.pose
-            self._chain.append(pose_tie(index - 1, index, moved, weights))
+            self._chain.append(pose_constraint(index - 1, index, moved, weights))
 
     def _search(self, index: int, submap: int) -> None:
-        """Search for a node in a finished submap near it; tie it if found."""
+        """Search for a node in a finished submap near it; constrain it if found."""
         c, node, searcher = self._config, self.nodes[index], self._searchers[submap]
         relative = self._submap_poses[submap].inverse() @ self._node_poses[index]
         if relative.distance(Pose2()) > c.max_constraint_distance or not searcher.draw_sample():
@@ -405,7 +405,7 @@ class OriginalPoseGraph:
         pose, score = found
         measured = T_local_submap.inverse() @ pose
         weights = c.loop_closure_translation_weight, c.loop_closure_rotation_weight
-        self._ties.append(pose_tie(submap, index, measured, weights, loop=True))
+        self._to_submaps.append(pose_constraint(submap, index, measured, weights, loop=True))
         seen = self.nodes[min(self._members[submap])].stamp
         base = Pose2(yaw=node.heading)
         before, after = self._node_poses[index] @ base, self._submap_poses[submap] @ measured @ base
@@ -413,4 +413,4 @@ class OriginalPoseGraph:
 
     def _adjust(self, iterations: list[int]) -> tuple[list[Pose2], list[Pose2]]:
         scale = self._config.huber_scale
-        return adjust(self._submap_poses, self._node_poses, self._ties, self._chain, scale, iterations)
+        return adjust(self._submap_poses, self._node_poses, self._to_submaps, self._chain, scale, iterations)

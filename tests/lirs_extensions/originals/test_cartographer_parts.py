@@ -15,7 +15,7 @@ from lirs_extensions.originals.cartographer.pose_graph import (
     PoseGraphProblem,
     adjust,
     bound_grids,
-    pose_tie,
+    pose_constraint,
 )
 from lirs_extensions.originals.cartographer.probability_grid import (
     COST,
@@ -247,9 +247,12 @@ def test_the_online_search_prefers_small_shifts() -> None:
 def test_odometry_and_local_slam_weigh_the_same() -> None:
     """Local SLAM says 1 m from node to node, odometry 2 m: with published weights the mean."""
     near, far = Pose2(1.0), Pose2(2.0)
-    ties = [pose_tie(0, 0, Pose2(), (500.0, 1600.0)), pose_tie(0, 1, near, (500.0, 1600.0))]
-    chain = [pose_tie(0, 1, moved, (1e5, 1e5)) for moved in (near, far)]
-    _, (first, second) = adjust([Pose2()], [Pose2(), near], ties, chain, 10.0, [50])
+    to_submaps = [
+        pose_constraint(0, 0, Pose2(), (500.0, 1600.0)),
+        pose_constraint(0, 1, near, (500.0, 1600.0)),
+    ]
+    chain = [pose_constraint(0, 1, moved, (1e5, 1e5)) for moved in (near, far)]
+    _, (first, second) = adjust([Pose2()], [Pose2(), near], to_submaps, chain, 10.0, [50])
     assert first.distance(second) == pytest.approx(1.5, abs=1e-4)
 
 
@@ -257,26 +260,30 @@ def test_the_adjusted_graph_is_scipy_s() -> None:
     rng = np.random.default_rng(5)
     submaps = [Pose2(), Pose2(2.0, 0.3, 0.1)]
     nodes = [Pose2(*p) for p in rng.normal(0, 1, (6, 3))]
-    ties = [
-        pose_tie(s, n, Pose2(*rng.normal(0, 1, 3)), (3.0, 5.0), loop=(s + n) % 3 == 0)
+    to_submaps = [
+        pose_constraint(s, n, Pose2(*rng.normal(0, 1, 3)), (3.0, 5.0), loop=(s + n) % 3 == 0)
         for s in range(2)
         for n in range(6)
     ]
-    chain = [pose_tie(n, n + 1, Pose2(*rng.normal(0, 1, 3)), (4.0, 2.0)) for n in range(5) for _ in range(2)]
+    chain = [
+        pose_constraint(n, n + 1, Pose2(*rng.normal(0, 1, 3)), (4.0, 2.0)) for n in range(5) for _ in range(2)
+    ]
     problem = PoseGraphProblem(
-        np.zeros(3), 2, PoseConstraints.stack(ties), PoseConstraints.stack(chain), 10.0
+        np.zeros(3), 2, PoseConstraints.stack(to_submaps), PoseConstraints.stack(chain), 10.0
     )
 
     def residuals(x: np.ndarray) -> np.ndarray:
         """Residuals whose squares sum to twice the cost, Huber's loss included."""
         s, n = problem.poses(x)
         found = []
-        for a, b, tie in [(s[t.a], n[t.b], t) for t in ties] + [(n[t.a], n[t.b], t) for t in chain]:
-            e = relative_poses(a, b) - tie.z
+        for a, b, constraint in [(s[t.a], n[t.b], t) for t in to_submaps] + [
+            (n[t.a], n[t.b], t) for t in chain
+        ]:
+            e = relative_poses(a, b) - constraint.z
             e[2] = math.remainder(e[2], math.tau)
-            r = np.sqrt(np.diag(tie.information)) * e
+            r = np.sqrt(np.diag(constraint.information)) * e
             length = float(np.linalg.norm(r))
-            if tie.robust and length > 10:
+            if constraint.robust and length > 10:
                 r *= math.sqrt(10 * (2 * length - 10)) / length
             found.extend(r)
         return np.array(found)
@@ -287,5 +294,5 @@ def test_the_adjusted_graph_is_scipy_s() -> None:
     reference = least_squares(residuals, start, xtol=1e-12, ftol=1e-12, gtol=1e-12)
     ours = problem.evaluate(minimize(problem, start, 200)).cost
     assert ours == pytest.approx(reference.cost, rel=1e-3)
-    after, _ = adjust(submaps, nodes, ties, chain, 10.0, [200])
+    after, _ = adjust(submaps, nodes, to_submaps, chain, 10.0, [200])
     assert after[0] == Pose2()
