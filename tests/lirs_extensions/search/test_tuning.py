@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from lirs_extensions.search import tuning
+from lirs_extensions.search.case_search import Case
 from lirs_extensions.search.options import TuneOptions
 from lirs_extensions.search.tuning import (
     TUNABLE,
@@ -21,7 +22,7 @@ from lirs_extensions.search.tuning import (
 )
 from lirs_validation.config import MapConfig, RunConfig
 from lirs_validation.record.verdict import VerdictFigures
-from slam_baselines.mapper import make_mapper, read_parameters
+from slam_baselines.mapper import make_mapper, parameter_text, read_parameters
 from tests.command_line import run_command
 
 BEST = 0.2
@@ -67,6 +68,17 @@ def test_the_planted_value_alone_is_found_and_is_better_on_unseen_seeds(
     assert found.works == (0, 10)
     assert conclusion(made, tuned, found).startswith("gmapping_original with linearUpdate=")
     assert ros_text(made, tuned)[1].startswith("slam_gmapping:\n  ros__parameters:\n    linearUpdate: ")
+
+
+def test_the_file_for_slam_toolbox_is_read_back(tmp_path: Path) -> None:
+    """Held parameters stand in it, too."""
+    config = RunConfig(source="simple", mapper="slam_toolbox_original", parameters="do_loop_closing=false")
+    space = search_space(config.mapper, config.parameters, None)
+    tuned = Case(space.easiest.values | {"scan_buffer_size": 24.0, "minimum_travel_distance": 0.25})
+    name, text = ros_text(TuneDrives(config, TuneOptions(), space, tmp_path), tuned)
+    (tmp_path / name).write_text(text)
+    held = {"do_loop_closing": False, "scan_buffer_size": 24, "minimum_travel_distance": 0.25}
+    assert read_parameters(parameter_text(str(tmp_path / name))) == held
 
 
 def test_an_interrupted_search_ends_with_the_same_bytes(tmp_path: Path, planted: Planted) -> None:
