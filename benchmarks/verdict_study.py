@@ -48,7 +48,7 @@ from lirs_wct.world import World
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples" / "data"
-METHODS = ("hector", "hector_original", "gmapping_original", "genz-icp")
+METHODS = ("hector", "hector_original", "gmapping_original", "genz-icp", "slam_toolbox_original")
 RING_LIDAR = "vlp16"
 SECONDS = 60.0
 BLOCK = 4
