@@ -64,7 +64,9 @@ class ScanNode:
         """Set the pose `T_map_base`."""
         self.pose, self.sensor = pose, pose @ self.mount
         x, y, angles = self.sensor.x, self.sensor.y, self.sensor.yaw + self._angles
-        self.points = np.stack((x + self.ranges * np.cos(angles), y + self.ranges * np.sin(angles)), axis=-1)
+        with np.errstate(invalid="ignore"):  # infinity times 0
+            rays = self.ranges * np.cos(angles), self.ranges * np.sin(angles)
+        self.points = np.stack((x + rays[0], y + rays[1]), axis=-1)
         self.center: tuple[float, float] = x, y
         if self._central.any():
             self.center = tuple(self.points[self._central].mean(axis=0).tolist())
@@ -230,6 +232,8 @@ def seen_from(points: Any, x: float, y: float) -> Any:
     anchor, since = 0, 0
     for i in range(len(points)):
         ax, ay, bx, by = points[anchor, 0], points[anchor, 1], points[i, 0], points[i, 1]
+        if math.isnan(ax) or math.isnan(ay):  # no number is an anchor
+            anchor = i
         if (ax - bx) ** 2 + (ay - by) ** 2 > SPACING * SPACING:
             if not bx * (y - ay) + by * (ax - x) + (ay * x - ax * y) < 0:
                 seen[since:i] = True

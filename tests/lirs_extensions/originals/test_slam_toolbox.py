@@ -150,6 +150,8 @@ def test_a_wall_seen_from_behind_is_left_out() -> None:
     wall = np.stack((np.full(17, 2.0), np.linspace(-1, 1, 17)), axis=-1)
     assert seen_from(wall, 0.0, 0.0).sum() == 16
     assert not seen_from(wall, 4.0, 0.0).any()
+    wall[0] = np.inf, np.nan  # infinity times the sine of 0
+    assert seen_from(wall, 0.0, 0.0).sum() == 16
 
 
 def laps() -> SlamToolboxOriginalMapper:
