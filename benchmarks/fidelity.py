@@ -106,10 +106,8 @@ def main() -> None:
     warm_up(TOOLBOX)
     for run in runs:
         if (run / ORIGINALS["C++ slam_toolbox"]).exists():
-            apart, by_scan, by_node = online_distance(run)
-            print(
-                f"{TOOLBOX}, {run.name}: {apart:.1e} m, CPU {by_scan:.2f} ms a scan, {by_node:.1f} ms a node"
-            )
+            far, by_scan, by_node = online_distance(run)
+            print(f"{TOOLBOX}, {run.name}: {far:.1e} m, CPU {by_scan:.2f} ms a scan, {by_node:.1f} ms a node")
 
 
 def ates(run: Path, seeds: Sequence[int], noise: float = 0.0) -> Row:
