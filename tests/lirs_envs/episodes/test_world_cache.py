@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+import lirs_wct
 from lirs_envs.episodes import world_cache
 from lirs_envs.episodes.world_cache import FOLDER_VARIABLE, cached_world, content_key
 from lirs_wct.errors import SourceError
@@ -32,7 +33,7 @@ def test_a_second_process_loads_what_the_first_built(
     first = cached_world(source)
     assert [p.name for p in folder.iterdir()] == [content_key(source)]
     world_cache._in_memory.cache_clear()
-    monkeypatch.setattr(world_cache, "build_world", lambda _: pytest.fail("it was built again"))
+    monkeypatch.setattr(lirs_wct, "build_world", lambda _: pytest.fail("it was built again"))
     again = cached_world(source)
     assert again.name == first.name
     assert again.surface.z.tobytes() == first.surface.z.tobytes()
