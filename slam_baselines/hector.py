@@ -105,8 +105,9 @@ class HectorMapper(PlanarMapper):
             self._motion.append(self.reckoning.increment)
         if front.path:  # the first scan has no map
             weights = builder.match_weights(level, prior.pose)
+            trusted = front.monitors.localizability.trusted_score
             estimate, match = self._registration.register(
-                builder.pyramid, level.hits, weights, prior, last, self._earlier
+                builder.pyramid, level.hits, weights, prior, last, self._earlier, trusted_score=trusted
             )
             self._earlier = before
         fits = front.monitor(level, prior, estimate, match, floor=builder.flat)
@@ -181,7 +182,7 @@ class HectorMapper(PlanarMapper):
             if k > 0:
                 weights = builder.weights(slopes)
                 estimate, match = registration.register(
-                    builder.pyramid, now.scan.hits, weights, estimate, last
+                    builder.pyramid, now.scan.hits, weights, estimate, last, trusted_score=math.inf
                 )
                 fits += match is not None and match.score >= self.config.localizable_score
             builder.enter_again(now.scan, estimate.pose, now.height, slopes)

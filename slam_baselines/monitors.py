@@ -20,6 +20,7 @@ class MonitorConfig(Checked):
             scans do, on hillsides few.
         localizable_share: Share of the matched scans that must fit before matches are used.
         least_localizable_share: Share of the matched scans that must fit for matches to remain in use.
+        sure_share: Share of the latest scans that must fit for any match that fits to be used.
         localizable_memory: Number of scans that prove walls.
         localizable_meters: Distance after which a scan counts 1/e, meters.
         first_meters: Distance that counts as driven without a fit at first, unless on a floor, meters.
@@ -40,6 +41,7 @@ class MonitorConfig(Checked):
     localizable_score: float = limited(0.6, "(0, 1)")
     localizable_share: float = limited(0.7, "(0, 1)")
     least_localizable_share: float = 0.15
+    sure_share: float = limited(0.95, "(0, 1]")
     localizable_memory: float = limited(50.0, "[1, inf]")
     localizable_meters: float = limited(4.0, "(0, inf]")
     first_meters: float = limited(0.4, "(0, inf]")
@@ -97,13 +99,14 @@ class LocalizabilityMonitor:
         localizable: Whether matches localize the robot.
         believed: Whether matches are used; always if no scan was observed, for lack of an attitude.
         steady: Whether enough scans fit for calibrating the odometry by them.
+        trusted_score: Score from which a match is used though it disagrees with those before.
         proven: Whether walls localized the robot long enough; then contradictions mean that it is lost.
         scans: Number of observed scans.
     """
 
     def __init__(self, config: MonitorConfig) -> None:
         self.localizable = self.steady = self.proven = False
-        self.believed = True
+        self.believed, self.trusted_score = True, 0.0
         self.scans = self._matched = self._localizable = self._fitted = 0
         self._config = config
         self._share = self._steadiness = self._fitting = self._judged = 0.0
@@ -128,6 +131,7 @@ class LocalizabilityMonitor:
         recent = self._steadiness >= c.least_localizable_share
         self.localizable = self._share >= enough and recent
         self.steady = self.localizable and self._steadiness >= 2 * c.least_localizable_share
+        self.trusted_score = c.localizable_score if self._steadiness >= c.sure_share else math.inf
         self.believed = self.localizable
         self.scans += 1
         self._localizable += self.localizable

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -359,6 +359,7 @@ class RegistrationConfig(MonitorConfig):
         decorrelation_distance: Distance between scans below which they see the same cells with the same
             errors, so that each adds only its share of information, meters.
         min_information_share: Smallest share of information that a scan adds.
+        agreement_gate: Deviations of dead reckoning up to which a match agrees with the one before.
 
     Raises:
         ConfigError: a value is not legal, or lost_score is above search_threshold.
@@ -374,6 +375,7 @@ class RegistrationConfig(MonitorConfig):
     min_walls: int = limited(40, "[1, inf]")
     decorrelation_distance: float = limited(0.4, "(0, inf]")
     min_information_share: float = limited(0.02, "(0, 1)")
+    agreement_gate: float = limited(2.0, "(0, inf]")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -396,6 +398,7 @@ class ReckoningWindow:
         self._config = config
         self._correction, self._covariance = np.zeros(3), np.zeros((3, 3))
         self._expected: FloatArray | None = None
+        self._moved = 0.0
 
     def move(self, before: PoseEstimate, expected: PoseEstimate) -> None:
         """Add the step of dead reckoning from the last used estimate."""
@@ -409,6 +412,7 @@ class ReckoningWindow:
         self._correction = keep * np.array((x - dy * yaw, y + dx * yaw, yaw))
         self._covariance = keep**2 * moved_covariance(self._covariance, dx, dy, 0.0, 0.0) + noise
         self._expected = end
+        self._moved += math.hypot(dx, dy) + 0.5 * abs(difference(end, start)[2])
 
     def allowed(self, expected: PoseEstimate, pose: FloatArray, information: FloatArray) -> FloatArray:
         """Return the projection (3, 3) of corrections in the map frame on the allowed directions.
@@ -422,14 +426,34 @@ class ReckoningWindow:
         within = (gains >= 1.0) & (abs(axes.T @ inverse @ total) <= self._config.reckoning_gate)
         return np.asarray(root @ (axes * within) @ axes.T @ inverse)
 
-    def limit(self, expected: PoseEstimate, pose: FloatArray, information: FloatArray) -> PoseEstimate:
-        """Return the estimate by the allowed directions of a match; arguments as of allowed."""
-        P = self.allowed(expected, pose, information)
-        start = expected.pose.as_array()
-        x, y, yaw = (start + P @ difference(pose, start)).tolist()
-        covariance = np.linalg.inv(np.linalg.inv(expected.covariance) + P.T @ information @ P)
-        limited_pose = Pose2(x, y, math.remainder(yaw, math.tau))
-        return PoseEstimate(limited_pose, np.asarray(covariance, dtype=np.float64))
+
+MATCHED, BIAS = np.diag((0.005**2, 0.005**2, 0.002**2)), 0.15
+"""Covariance between two matches to walls; deviation of the odometry's steady error, meters per meter."""
+
+
+class MatchMonitor(ReckoningWindow):
+    """Decision whether each match agrees with the one before and dead reckoning since then.
+
+    On walls matches move as the robot does, but for noise and the steady errors of wheels. On hillsides they
+    jump to and fro, however well each scan fits.
+    """
+
+    def __init__(self, config: RegistrationConfig) -> None:
+        super().__init__(replace(config, reckoning_length=math.inf))
+        self._gate, self._distance = config.agreement_gate, config.decorrelation_distance
+        self._agreed, self._off = math.inf, np.zeros(3)
+
+    def agrees(self, expected: PoseEstimate, pose: FloatArray) -> bool:
+        """Return whether a match at a pose (3,) agrees, as all have since the scans saw the same cells."""
+        moved, correction = self._moved, difference(pose, expected.pose.as_array())
+        off, bias = self._correction + correction, (BIAS * moved) ** 2 * np.diag((1.0, 1.0, 0.0))
+        spread = self._covariance + MATCHED + bias
+        # Slipping wheels cause the same correction again.
+        square = min(float(d @ solve3(spread, d)) for d in (off, off - self._off))
+        self._agreed = self._agreed + moved if square <= self._gate**2 else 0.0
+        self._moved, self._off = 0.0, off
+        self._correction, self._covariance = -correction, np.zeros((3, 3))
+        return self._agreed >= self._distance
 
 
 def difference(pose: FloatArray, other: FloatArray) -> FloatArray:
@@ -446,21 +470,16 @@ class Registration:
         self.config = config
         self.searches = 0
         self._matcher = matcher
-        self.window = ReckoningWindow(config)
+        self._monitor = MatchMonitor(config)
 
     def again(self) -> Registration:
-        """Return a registration without past corrections, for other poses of the same scans."""
+        """Return a registration without past matches, for other poses of the same scans."""
         return Registration(self.config, self._matcher)
 
     def register(
-        self,
-        pyramid: MapPyramid,
-        hits: FloatArray,
-        weights: FloatArray | None,
-        expected: PoseEstimate,
-        before: PoseEstimate,
-        earlier: Pose2 | None = None,
-    ) -> tuple[PoseEstimate, Match | None]:
+        self, pyramid: MapPyramid, hits: FloatArray, weights: FloatArray | None, expected: PoseEstimate,
+        before: PoseEstimate, earlier: Pose2 | None = None, *, trusted_score: float = 0.0,
+    ) -> tuple[PoseEstimate, Match | None]:  # fmt: skip
         """Return the estimate and its match; `expected` and None without enough walls.
 
         Args:
@@ -470,9 +489,10 @@ class Registration:
             expected: Estimate by dead reckoning.
             before: Estimate at the last registration, as it was used.
             earlier: Pose of the one before that, for coasting.
+            trusted_score: Score from which a match is used though it disagrees with those before.
         """
         c = self.config
-        self.window.move(before, expected)
+        self._monitor.move(before, expected)
         uneven, walls = weights is not None, len(hits) if weights is None else np.count_nonzero(weights)
         if walls < (c.min_walls if uneven else c.min_beams):
             return expected, None
@@ -484,17 +504,18 @@ class Registration:
         match = self._matcher.match(pyramid, hits, weights, expected, information_share=share)
         if match.known < c.min_beams / walls:
             return expected, None
+        forced = False
         if match.known >= c.known_ratio and match.score < c.search_threshold:
             coasting = last if earlier is None else last @ (earlier.inverse() @ last)
             wider = self._search(pyramid, hits, weights, share, expected, coasting)
-            if uneven and max(match.score, wider.score) < c.search_threshold:
-                return expected, match  # dead reckoning errs less than a forced fit
-            if wider.score > match.score + c.min_gain:
+            # Dead reckoning errs less than a forced fit.
+            forced = uneven and max(match.score, wider.score) < c.search_threshold
+            if not forced and wider.score > match.score + c.min_gain:
                 match = wider
-        if uneven:
-            return self.window.limit(expected, match.pose, match.information), match
         x, y, yaw = match.pose.tolist()
-        return PoseEstimate(Pose2(x, y, math.remainder(yaw, math.tau)), match.covariance), match
+        matched = PoseEstimate(Pose2(x, y, math.remainder(yaw, math.tau)), match.covariance)
+        used = self._monitor.agrees(expected, match.pose) or match.score >= trusted_score
+        return matched if used and not forced else expected, match
 
     def _search(
         self,

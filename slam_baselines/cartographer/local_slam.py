@@ -127,7 +127,10 @@ class LocalSlam:
         height = self.ground_filter.height
         weights = None if wall_slope == 0 else self.walls(scan, prior.pose, height)
         submap.set_wall_slope(wall_slope)
-        return self.registration.register(submap.pyramid, scan.hits, weights, prior, self.front.estimate)
+        trusted = self.front.monitors.localizability.trusted_score
+        return self.registration.register(
+            submap.pyramid, scan.hits, weights, prior, self.front.estimate, trusted_score=trusted
+        )
 
     def _insert(self, scan: LeveledScan, pose: Pose2) -> tuple[list[Node], bool]:
         """Draw a scan into the submaps; refine the start when due."""
@@ -199,7 +202,7 @@ class LocalSlam:
                 weights = self.walls(node.scan, expected.pose, node.height)
                 submap.set_wall_slope(wall_slope)
                 estimate, match = registration.register(
-                    submap.pyramid, node.scan.hits, weights, expected, estimate
+                    submap.pyramid, node.scan.hits, weights, expected, estimate, trusted_score=math.inf
                 )
                 fits += match is not None and match.score >= self._config.localizable_score
             if node is not nodes[0]:

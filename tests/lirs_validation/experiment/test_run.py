@@ -205,6 +205,14 @@ def test_rolling_scans_roll_and_other_sensors_keep_their_readings(room: str) -> 
     assert instant[-1].scan.ranges.tobytes() != rolling[-1].scan.ranges.tobytes()
 
 
+@pytest.mark.slow
+def test_walls_correct_wheels_that_measure_too_much() -> None:
+    """A steady error of the wheels is no hillside."""
+    record = validate("simple", mapper="cartographer", seconds=60, odometry_noise=5.0).record
+    assert record.trajectory["odometry_ate_rmse"] > 0.5
+    assert record.trajectory["ate_rmse"] < 0.05
+
+
 def test_odometry_noise_scales_wheels_and_gyro_alone(room: str) -> None:
     husky = make_robot("husky")
     configs = [RunConfig(source=room, odometry_noise=factor) for factor in (1.0, 0.5)]
