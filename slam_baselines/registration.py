@@ -428,14 +428,14 @@ class ReckoningWindow:
 
 
 MATCHED, BIAS = np.diag((0.005**2, 0.005**2, 0.002**2)), 0.15
-"""Covariance between two matches to walls; deviation of the odometry's steady error, meters per meter."""
+"""Covariance of the difference of two matches to walls; standard deviation of the odometry's scale error."""
 
 
 class MatchMonitor(ReckoningWindow):
-    """Decision whether each match agrees with the one before and dead reckoning since then.
+    """Test of each match against the last one, moved by dead reckoning.
 
-    On walls matches move as the robot does, but for noise and the steady errors of wheels. On hillsides they
-    jump to and fro, however well each scan fits.
+    Matches to walls differ from it by noise and the steady errors of the wheels, those to hillsides by more,
+    however well each scan fits.
     """
 
     def __init__(self, config: RegistrationConfig) -> None:
@@ -444,7 +444,7 @@ class MatchMonitor(ReckoningWindow):
         self._agreed, self._off = math.inf, np.zeros(3)
 
     def agrees(self, expected: PoseEstimate, pose: FloatArray) -> bool:
-        """Return whether a match at a pose (3,) agrees, as all have since the scans saw the same cells."""
+        """Add a match at a pose (3,); return whether it and those of the last meters agree."""
         moved, correction = self._moved, difference(pose, expected.pose.as_array())
         off, bias = self._correction + correction, (BIAS * moved) ** 2 * np.diag((1.0, 1.0, 0.0))
         spread = self._covariance + MATCHED + bias

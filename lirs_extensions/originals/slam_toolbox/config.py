@@ -15,15 +15,15 @@ MOST_CELLS = 10_000
 class SlamToolboxOriginalConfig(Checked, of="slam_toolbox_original"):
     """Parameters of slam_toolbox with its defaults.
 
-    The grid of the loop search has three parameters as that of the sequential one, `loop_` in their names.
+    `loop_search_space_*` are for the loop search what `correlation_search_space_*` are for the other matches.
 
     Attributes:
         resolution: Edge of a cell of the map that is drawn, meters.
-        throttle_scans: One of so many scans is looked at.
-        minimum_time_interval: Time since the last scan that was let in, seconds.
+        throttle_scans: Number N: only every Nth scan can pass the gate.
+        minimum_time_interval: Least time since the last scan that passed the gate, seconds.
         minimum_travel_distance: Distance to drive before the next scan becomes a node, meters.
         minimum_travel_heading: Turn before the next scan becomes a node, radians. It acts only on scans that
-            were let in, for which the robot must have moved 0.9 of the distance.
+            passed the gate, for which the robot must have moved 0.9 of the distance.
         min_laser_range: Nearer hits do not count for the center of a scan, meters.
         max_laser_range: Farther hits do not either, and the grid of the matcher ends there, meters; they are
             matched all the same.
@@ -49,8 +49,8 @@ class SlamToolboxOriginalConfig(Checked, of="slam_toolbox_original"):
         fine_search_angle_offset: Step of the headings of the second stage, radians.
         coarse_search_angle_offset: Largest turn of the first stage, radians.
         coarse_angle_resolution: Step of the headings of the first stage, radians.
-        minimum_angle_penalty: Least factor of a turn.
-        minimum_distance_penalty: Least factor of a shift.
+        minimum_angle_penalty: Smallest factor by which a turn lowers the response.
+        minimum_distance_penalty: Smallest factor by which a shift lowers the response.
 
     Raises:
         ConfigError: a value is not legal, a grid would be too fine or too coarse for what it holds, or a step

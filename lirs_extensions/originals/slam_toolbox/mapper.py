@@ -30,11 +30,11 @@ WARM_UP = {
 }
 """Configuration with which a short drive closes a loop."""
 GATE_SHARE = 0.8
-"""Share of the squared travel distance after which a scan is let in."""
+"""Share of the squared travel distance after which a scan passes the gate."""
 FIRST_SCANS = 5
-"""Number of the scan from which on a second one is let in."""
+"""Number of the first scan that can pass the gate as the second one."""
 MAX_INTERVAL = 3600.0
-"""Time after which a scan that was let in becomes a node anyhow, seconds."""
+"""Time since the last node after which a scan that passed the gate becomes one, seconds."""
 
 
 class SlamToolboxOriginalMapper(PlanarMapper):
@@ -99,7 +99,7 @@ class SlamToolboxOriginalMapper(PlanarMapper):
         return [nodes[0].odometry.inverse() @ node.pose for node in nodes]
 
     def _passes_gate(self, stamp: float, odometry: Pose2) -> bool:
-        """Return whether time and distance since the last scan let in suffice."""
+        """Return whether time and distance since the last scan that passed suffice."""
         c = self.config
         if self._let_in is not None:
             then, last = self._let_in

@@ -20,6 +20,7 @@ from lirs_extensions.originals.slam_toolbox.scan_matching import (
     SensorMatch,
     seen_from,
 )
+from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Pose2
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen_log import read_carmen
@@ -143,6 +144,22 @@ def test_beams_without_return_are_infinite() -> None:
     assert np.isinf(node.ranges[[3, 50, 100, 200, 201]]).all()
     walls = ScanNode(replace(scan, ranges=short), Pose2(), SlamToolboxOriginalConfig(no_return_share=2.0))
     assert len(walls.returns) == len(short) - 3
+
+
+@pytest.mark.shared
+def test_a_code_for_no_return_makes_a_ring_of_walls(shared_data: Path, tmp_path: Path) -> None:
+    """The C++ program has 2.849 m with it, and .293 m with infinite ranges."""
+    folder, errors = shared_data / "fidelity" / "simple-1", list[float]()
+    log, mount = read_carmen(folder / "scans.clf.gz"), make_robot("husky").T_base_laser
+    truth = unpacked(folder / "truth.tum.gz", tmp_path)
+    for code in (np.inf, 20.0):
+        mapper = make_mapper("slam_toolbox_original", no_return_share=2.0)
+        for scan, odometry in zip(log.scans, log.odometry, strict=True):
+            ranges = np.where(np.isinf(scan.ranges), np.float32(code), scan.ranges)
+            mapper.update(replace(scan, ranges=ranges, T_base_laser=mount), odometry, None)
+        errors.append(trajectory_errors(truth, mapper.trajectory()).ate_rmse)
+    assert errors[0] < 0.35
+    assert 2.0 < errors[1] < 4.0
 
 
 def test_a_wall_seen_from_behind_is_left_out() -> None:
