@@ -7,7 +7,7 @@ from lirs_extensions.search.options import FalsifyOptions
 from tests.benchmark_modules import BENCHMARKS
 
 CASES = {
-    "WrongRoll": {"slope": 12.0},
+    "WrongRoll": {"slope": 16.0},
     "LateScans": {},
     "LosesScans": {"corridor": 26.0},
     "DriftsAtStandstill": {"reversing": 0.5},
