@@ -43,6 +43,7 @@ def test_drive_steer_save_and_replay(open_page: Open, server: Any, tmp_path: Pat
 
     field(page, "drive by hand").click()
     page.get_by_text("drag, or hold").wait_for()
+    server.pages[0].drive._speed.value = "1 x real time"  # no obstacle is reached while the keys are held
     page.get_by_role("button", name="Go on").click()
     page.keyboard.down("KeyW")
     page.keyboard.down("KeyA")
