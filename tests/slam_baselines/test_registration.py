@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import CartographerConfig
+from slam_baselines.correlative_search import correlative_search
 from slam_baselines.dead_reckoning import MotionConfig, PoseEstimate, moved_covariance
 from slam_baselines.front_end import BuilderConfig, MapBuilder
 from slam_baselines.leveling import ScanLeveler
@@ -19,7 +20,6 @@ from slam_baselines.registration import (
     Registration,
     RegistrationConfig,
     ScanMatcher,
-    correlative_search,
     invert3,
     linearize,
     solve3,

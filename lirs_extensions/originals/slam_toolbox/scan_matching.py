@@ -112,7 +112,7 @@ class Lattice(NamedTuple):
         return Pose2(x / n, y / n, math.atan2(s / n, c / n))
 
     def covariance(self, result: Pose2) -> FloatArray:
-        """Return the covariance (3, 3) of x and y, for the heading the step's."""
+        """Return the covariance (3, 3); the heading's variance is that of the step."""
         best, (step, turn) = self.best, (float(each[1] - each[0]) for each in (self.shifts, self.turns))
         covariance = np.diag((LARGEST_VARIANCE, LARGEST_VARIANCE, 4 * turn**2))
         if best < EQUAL:
@@ -133,7 +133,7 @@ class CorrelativeMatcher:
     """Matcher of a scan with others, on a grid around the start."""
 
     def __init__(self, config: SlamToolboxOriginalConfig, grid: str) -> None:
-        """Search with the parameters whose names begin so."""
+        """Take the parameters `{grid}_search_space_*`."""
         names = (f"{grid}_search_space_{name}" for name in ("dimension", "resolution", "smear_deviation"))
         dimension, resolution, deviation = (getattr(config, name) for name in names)
         self._config, self._resolution = config, resolution
@@ -152,7 +152,7 @@ class CorrelativeMatcher:
     def match(
         self, node: ScanNode, base: list[ScanNode], start: Pose2, *, penalize: bool = False, fine: bool = True
     ) -> SensorMatch:
-        """Match a node with others, from a pose of its sensor, in a coarse stage and maybe a fine one."""
+        """Match a node with others, from a pose of its sensor."""
         c, step = self._config, 2 * self._resolution
         self._draw(base, start)
         for k in range(1 + EXPANSIONS * c.use_response_expansion):
@@ -217,7 +217,7 @@ class CorrelativeMatcher:
 
 
 def _offsets(most: float, step: float) -> FloatArray:
-    """Return the offsets of a lattice; not each has 0 among them."""
+    """Return the offsets of a lattice; 0 need not be among them."""
     offsets: FloatArray = -most + step * np.arange(int(2 * most / step + 1.5), dtype=np.float64)
     return offsets
 
@@ -226,13 +226,13 @@ def _offsets(most: float, step: float) -> FloatArray:
 def seen_from(points: Any, x: float, y: float) -> Any:
     """Return which points (n, 2) of a scan show their front to a viewpoint.
 
-    Infinite ones count as IEEE's arithmetic has it; the end of the scan after the last anchor never does.
+    Infinite points follow IEEE arithmetic; points after the last anchor are never shown.
     """
     seen = np.zeros(len(points), np.bool_)
     anchor, since = 0, 0
     for i in range(len(points)):
         ax, ay, bx, by = points[anchor, 0], points[anchor, 1], points[i, 0], points[i, 1]
-        if math.isnan(ax) or math.isnan(ay):  # no number is an anchor
+        if math.isnan(ax) or math.isnan(ay):  # a NaN point cannot be the anchor
             anchor = i
         if (ax - bx) ** 2 + (ay - by) ** 2 > SPACING * SPACING:
             if not bx * (y - ay) + by * (ax - x) + (ay * x - ax * y) < 0:
