@@ -43,7 +43,7 @@ from lirs_wct.arrays import FloatArray, njit
 try:
     import torch
 except ImportError:
-    raise SystemExit("needs torch: pip install '.[rl]'") from None
+    raise SystemExit("needs torch: pip install 'lirs-wct[rl]'") from None
 
 FOLDER = Path("out/pretrained")
 FLOOR_ROBOTS = ("jackal", "turtlebot2", "turtlebot3_waffle")

@@ -49,7 +49,7 @@ class Method(NamedTuple):
         """Command that installs the needed package."""
         if not self.extra:
             return f"pip install . {self.distribution} into an environment, --mapper-python ITS/bin/python"
-        return f"pip install '.[{self.extra}]'"
+        return f"pip install 'lirs-wct[{self.extra}]'"
 
     @property
     def distribution(self) -> str:

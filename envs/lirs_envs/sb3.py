@@ -39,7 +39,7 @@ def as_vec_env(*vectors: VectorEnv[Any, Any, Any]) -> Any:
     try:
         base: Any = import_module("stable_baselines3.common.vec_env").VecEnv
     except ImportError:
-        raise ConfigError("as_vec_env needs Stable-Baselines3: pip install '.[rl]'") from None
+        raise ConfigError("as_vec_env needs Stable-Baselines3: pip install 'lirs-wct[rl]'") from None
     if not vectors:
         raise ConfigError("as_vec_env needs at least one vector environment")
     for one in vectors:

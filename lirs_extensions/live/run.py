@@ -132,7 +132,7 @@ def _check(config: RunConfig, options: LiveOptions) -> None:
     package = PACKAGES[options.middleware]
     if find_spec(package) is None:
         raise ConfigError(
-            f"--middleware {options.middleware} needs the package {package}: pip install '.[live]'"
+            f"--middleware {options.middleware} needs the package {package}: pip install 'lirs-wct[live]'"
         )
     maps = config.mapper == options.client
     if not maps and needs_process(config.mapper):

@@ -379,4 +379,4 @@ def require_cma() -> None:
     try:
         import cma  # noqa: F401
     except ImportError:
-        raise ConfigError("the search needs the package cma: pip install '.[search]'") from None
+        raise ConfigError("the search needs the package cma: pip install 'lirs-wct[search]'") from None

@@ -43,6 +43,7 @@ COMMANDS: Mapping[str, str] = {
     "bench": "lirs_extensions.bench.command:bench",
     "collide": "lirs_validation.cli.commands.validate:collide",
     "convert": "lirs_validation.cli.commands.worlds:convert",
+    "examples": "lirs_validation.cli.commands.installation:examples",
     "doctor": "lirs_validation.cli.commands.installation:doctor",
 }
 """Module and function of each command, in order of use."""

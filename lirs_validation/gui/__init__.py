@@ -47,7 +47,7 @@ def show(shown: World | str | Path, *, height: int = 640, port: int = 0) -> Embe
         WctError: there is no such source, the port is taken, or viser is not installed.
     """
     if find_spec("viser") is None:
-        raise ConfigError("the live page needs viser: pip install '.[gui]'")
+        raise ConfigError("the live page needs viser: pip install 'lirs-wct[gui]'")
     from lirs_validation.gui.server import Server
 
     folder = tempfile.TemporaryDirectory(prefix="lirs-wct-")

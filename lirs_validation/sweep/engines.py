@@ -380,7 +380,7 @@ def ray_session(address: str, jobs: int | None = None) -> Iterator[Any]:
     try:
         import ray
     except ImportError as error:
-        raise ConfigError("--address needs Ray: pip install '.[dist]'") from error
+        raise ConfigError("--address needs Ray: pip install 'lirs-wct[dist]'") from error
     if ray.is_initialized():
         yield ray
         return

@@ -77,7 +77,7 @@ def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
     try:
         coacd: Any = import_module("coacd")
     except ImportError:
-        raise ConfigError("terrain convex needs the package coacd: pip install '.[mesh]'") from None
+        raise ConfigError("terrain convex needs the package coacd: pip install 'lirs-wct[mesh]'") from None
     coacd.set_log_level("error")
     for body in bodies(mesh):
         closed = body.is_watertight

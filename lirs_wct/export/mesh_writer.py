@@ -93,7 +93,7 @@ def require_usd() -> None:
     try:
         import_module("pxr.Usd")
     except ImportError:
-        raise ConfigError("usd needs the package usd-core: pip install '.[usd]'") from None
+        raise ConfigError("usd needs the package usd-core: pip install 'lirs-wct[usd]'") from None
 
 
 def write_usd(path: Path, world: World, parts: list[MeshPart]) -> None:

@@ -287,7 +287,10 @@ def _projection(path: Path) -> tuple[CoordinateSystem | None, float | None]:
     wkt = projection.read_text(encoding="utf-8", errors="replace").strip() if projection.is_file() else ""
     if wkt and "[" not in wkt:  # keywords of ArcInfo, which GDAL knows
         wkt = limited.read_gdal(path, 0).wkt
-    return system_of_wkt(wkt) if wkt else (None, None)
+    try:
+        return system_of_wkt(wkt) if wkt else (None, None)
+    except ConfigError as error:  # without PROJ
+        raise SourceError(f"{projection}: {error}") from error
 
 
 def _header(path: Path, lines: Iterable[str]) -> tuple[dict[str, float], str]:
@@ -342,7 +345,10 @@ def tile_georeference(path: Path, shape: tuple[int, int]) -> Georeference | None
     sx, sy = side / shape[1], side / shape[0]
     west, north = column * side - _WORLD / 2, _WORLD / 2 - row * side
     affine = (sx, 0.0, west + sx / 2, 0.0, -sy, north - sy / 2)
-    return Georeference.of(CoordinateSystem.of_code(3857), affine, shape)
+    try:
+        return Georeference.of(CoordinateSystem.of_code(3857), affine, shape)
+    except ConfigError as error:  # without PROJ
+        raise SourceError(f"{path}: {error}") from error
 
 
 NODATA_VALUES = (-9999.0, -32768.0)

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from threading import Timer
 from time import monotonic
@@ -85,6 +86,8 @@ def _receive(process: subprocess.Popen[bytes]) -> tuple[dict[str, Any], list[NDA
 
 REFERRING = b"<VRTDataset"
 """Mark of a VRT, which only refers to other files."""
+NEEDS_GDAL = "is neither PNG, PGM/PNM, GIF, JPEG, BMP, WebP nor an ESRI ASCII grid; TIFF and other elevation \
+models need the package rasterio: pip install 'lirs-wct[dem]'"
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,8 @@ def read_gdal(path: Path, max_pixels: int) -> GdalRaster:
     """Read a raster; one of more than `max_pixels` is described without its pixels."""
     if REFERRING in first_bytes(path, 1024):
         raise SourceError(f"{path}: is a VRT, which refers to other files: gdal_translate makes a TIFF of it")
+    if find_spec("rasterio") is None:
+        raise SourceError(f"{path}: {NEEDS_GDAL}")
     values, arrays = read_limited("raster", path, max_pixels)
     values["transform"] = values["transform"] and tuple(values["transform"])
     return GdalRaster(**values, pixels=arrays[0] if arrays else None)

@@ -21,7 +21,7 @@ METERS = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Meters in a unit of length (EPSG): meter, foot, US survey foot."""
 LAS = b"LASF"
 """The first bytes of a LAS or LAZ file."""
-EXTRA = "pip install '.[clouds]'"
+EXTRA = "pip install 'lirs-wct[clouds]'"
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def _read_limited(path: Path) -> PointFile:
     las = begin == LAS
     if not las and path.suffix.lower() != ".pcd":
         raise SourceError(f"{path}: is not a LAS file: it begins with {begin!r}, a LAS file with {LAS!r}")
-    for package in ("laspy", "lazrs") if las else ("pypcd4",):
+    for package in ("laspy", "lazrs", "pyproj") if las else ("pypcd4",):
         if find_spec(package) is None:
             raise SourceError(f"{path}: needs the package {package}: {EXTRA}")
     values, (xyz, *ground) = read_limited("las" if las else "pcd", path)

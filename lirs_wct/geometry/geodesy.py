@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -69,6 +70,7 @@ class CoordinateSystem:
             return py, px
         if self.form == "unknown":
             raise ConfigError("no coordinate reference system is known")
+        _require_proj()
         from pyproj.exceptions import ProjError  # imported here to keep the start of other commands fast
 
         try:
@@ -105,6 +107,12 @@ def meters_per_degree(latitude: float, ellipsoid: tuple[float, float] = WGS84) -
     return math.radians(a / w * math.cos(phi)), math.radians(a * (1 - e2) / w**3)
 
 
+def _require_proj() -> None:
+    """Raise an error without PROJ."""
+    if find_spec("pyproj") is None:
+        raise ConfigError("coordinate systems need the package pyproj: pip install 'lirs-wct[dem]'")
+
+
 @lru_cache(maxsize=64)
 def _transformer(name: str) -> Transformer:
     """Return PROJ's conversion of a system to WGS 84."""
@@ -120,6 +128,7 @@ def _transformer(name: str) -> Transformer:
 
 def system_of_wkt(text: str) -> tuple[CoordinateSystem, float | None]:
     """Return the coordinate system of a WKT text, and its meters per unit of height."""
+    _require_proj()
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 

@@ -109,4 +109,4 @@ def test_train_pretrained_without_torch(tmp_path: Path) -> None:
         cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 1
-    assert done.stderr == "needs torch: pip install '.[rl]'\n"
+    assert done.stderr == "needs torch: pip install 'lirs-wct[rl]'\n"

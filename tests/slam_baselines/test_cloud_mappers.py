@@ -135,7 +135,7 @@ def test_what_is_not_installed_is_said_with_the_line_that_installs_it(
 ) -> None:
     monkeypatch.setattr(mappers, "find_spec", lambda package: None)
     method = CLOUD_MAPPERS[name]
-    by_extra = f"pip install '.[{method.extra}]'"
+    by_extra = f"pip install 'lirs-wct[{method.extra}]'"
     elsewhere = f"pip install . {method.distribution} into an environment, --mapper-python ITS/bin/python"
     install = by_extra if method.extra else elsewhere
     message = f"mapper {name} needs the package {method.distribution}: {install}"

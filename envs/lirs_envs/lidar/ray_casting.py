@@ -90,7 +90,7 @@ class MeshCaster(Caster):
             meshes: Any = import_module("embreex.mesh_construction")
         except ImportError:
             raise ConfigError(
-                "the lidar on a mesh with overhangs needs the package embreex: pip install '.[mesh]', "
+                "the lidar on a mesh with overhangs needs the package embreex: pip install 'lirs-wct[mesh]', "
                 "or take rays 'mujoco'"
             ) from None
         # Robust: no ray slips between two triangles.

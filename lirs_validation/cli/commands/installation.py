@@ -1,4 +1,4 @@
-"""The commands `list` and `doctor`: names that options take, and checks of the installation."""
+"""The commands `list`, `examples` and `doctor`: names for options, sample inputs, the installation."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import math
 import os
 import platform
 import re
+import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -22,7 +24,8 @@ from rich.table import Table
 
 from lirs_validation.cli.exit_codes import ExitCode
 from lirs_validation.cli.progress import out, say
-from lirs_wct.errors import unknown_name
+from lirs_wct.errors import OutputError, unknown_name
+from lirs_wct.files import atomic_write
 from lirs_wct.option import Options, argument
 
 if TYPE_CHECKING:
@@ -45,6 +48,8 @@ _RENDER = (
 )
 PICTURE_SECONDS = 60
 """Seconds that a backend may take for a picture."""
+EXAMPLES = ("lirs_wct_examples", "examples")
+"""Folders of the examples beside the packages: of a wheel, and of a checkout."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,6 +182,37 @@ CATALOGS: dict[str, Callable[[], dict[str, Any]]] = {
 }
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExamplesOptions(Options):
+    """Folder of `examples`."""
+
+    folder: Path = argument("Folder to copy to.", "[FOLDER]", Path("examples"))
+
+
+def examples(options: ExamplesOptions) -> None:
+    """Copy example inputs (picture, laser map, log) and programs into a folder.
+
+    Examples:
+    lirs-wct examples
+    """
+    beside = Path(__file__).parents[3]
+    source = next(beside / name for name in EXAMPLES if (beside / name).is_dir())
+    folder = options.folder
+    files = {
+        folder / path.relative_to(source): path
+        for path in sorted(source.rglob("*"))
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    for copy, path in files.items():
+        if copy.exists() and not (copy.is_file() and copy.read_bytes() == path.read_bytes()):
+            raise OutputError(f"{copy}: differs from the example; lirs-wct examples FOLDER copies elsewhere")
+    for copy, path in files.items():
+        with atomic_write(copy) as temporary:
+            shutil.copyfile(path, temporary)
+    say(f"{folder}: {len(files)} files")
+    say(f"next: lirs-wct validate {shlex.quote(str(folder / 'data/office.yaml'))} --robot turtlebot2")
+
+
 @dataclass(frozen=True)
 class InstallationCheck:
     """Finding about one part of the installation, and the command that repairs it.
@@ -217,14 +253,14 @@ def _checks() -> Iterator[InstallationCheck]:
         extras.setdefault(extra, []).append(re.split(r"[^\w.-]", package, maxsplit=1)[0])
     for name in extras.pop(""):
         version = _version(name)
-        yield InstallationCheck(name, version or "-", "" if version else "pip install .", needed=True)
+        yield InstallationCheck(name, version or "-", "" if version else "pip install lirs-wct", needed=True)
     yield from _opengl()
     yield from _caches()
     yield from _ray_token()
     for extra in sorted(extras.keys() - FOR_DEVELOPERS):
         found = {name: _version(name) for name in extras[extra]}
         text = ", ".join(f"{name} {version or '-'}" for name, version in found.items())
-        mend = "" if all(found.values()) else f"pip install '.[{extra}]'"
+        mend = "" if all(found.values()) else f"pip install 'lirs-wct[{extra}]'"
         yield InstallationCheck(f"[{extra}]", text, mend)
 
 

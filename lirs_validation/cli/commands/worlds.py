@@ -204,7 +204,7 @@ def gui(options: GuiOptions) -> None:
     lirs-wct gui medium --port 8080
     """
     if find_spec("viser") is None:
-        raise lirs_wct.ConfigError("the live page needs viser: pip install '.[gui]'")
+        raise lirs_wct.ConfigError("the live page needs viser: pip install 'lirs-wct[gui]'")
     from lirs_validation.gui.server import Server
 
     if options.source is not None:

@@ -120,7 +120,7 @@ def test_it_needs_its_extra(wct: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lirs_validation.cli.commands.worlds.find_spec", lambda _: None)
     code, _, err = wct("gui")
     assert code == 2
-    assert "pip install '.[gui]'" in err
+    assert "pip install 'lirs-wct[gui]'" in err
 
 
 def test_an_address_that_is_taken_is_one_line(wct: Any) -> None:

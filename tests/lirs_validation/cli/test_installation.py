@@ -72,6 +72,33 @@ def test_frames_are_those_of_ros() -> None:
     assert {"base_footprint", "base_link", "laser", "front_left_wheel"} <= links
 
 
+def test_examples_are_copied_once_and_never_over_changed_files(
+    wct: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        code, out, _ = wct("examples")
+        assert code == 0
+    assert "lirs-wct validate examples/data/office.yaml" in out
+    source = Path(__file__).resolve().parents[3] / "examples"
+    assert (tmp_path / "examples/data/dunes.png").read_bytes() == (source / "data/dunes.png").read_bytes()
+    assert (tmp_path / "examples/your_own_mapper.py").is_file()
+    (tmp_path / "examples/data/office.yaml").write_text("mine")
+    (tmp_path / "examples/data/dunes.png").unlink()
+    code, _, err = wct("examples")
+    assert code == 2
+    assert err.startswith("lirs-wct: examples/data/office.yaml: differs from the example")
+    assert not (tmp_path / "examples/data/dunes.png").exists()
+
+
+def test_a_place_for_examples_that_cannot_be_written(wct: Any, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    code, _, err = wct("examples", str(tmp_path / "file"))
+    assert code == 2
+    assert err.count("\n") == 1
+    assert str(tmp_path / "file") in err
+
+
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """No pictures are drawn: each takes a process."""
@@ -102,8 +129,8 @@ def test_what_is_needed_and_missing_fails(wct: Any, monkeypatch: pytest.MonkeyPa
     code, out, _ = wct("doctor")
     assert code == 3
     assert "missing" in out
-    assert "pip install ." in out
-    assert "pip install '.[gui]'" in out
+    assert "pip install lirs-wct " in out
+    assert "pip install 'lirs-wct[gui]'" in out
 
 
 @pytest.mark.usefixtures("quick")

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[3]
 def test_a_cluster_of_two_workers_survives_the_death_of_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("ray", reason="Ray is not installed: pip install '.[dist]'")
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'lirs-wct[dist]'")
     monkeypatch.setenv("PYTHONPATH", f"{ROOT}:{ROOT / 'envs'}")
     (tmp_path / "notes").mkdir()
     manners = ["good", "dies once", "good", "good", "raises", "good", "no room once", "good"]
@@ -79,7 +79,7 @@ def test_a_machine_that_is_lost_costs_one_line_and_no_run(
 
 @pytest.mark.slow
 def test_where_no_cluster_answers_it_is_said(tmp_path: Path) -> None:
-    pytest.importorskip("ray", reason="Ray is not installed: pip install '.[dist]'")
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'lirs-wct[dist]'")
     (tmp_path / "notes").mkdir()
     sweep = Sweep([FakeExperiment("a", str(tmp_path / "notes"))], tmp_path / "out")
     with pytest.raises(ConfigError, match=r"--address 127\.0\.0\.1:1: no Ray cluster answers there"):

@@ -221,7 +221,7 @@ def test_a_missing_package_is_named(
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(las_header() if package == "laspy" else PCD % (1, 1, 1, b"ascii") + b"1 2 3\n")
     monkeypatch.setattr("lirs_wct.formats.point_clouds.find_spec", lambda _: None)
-    with pytest.raises(SourceError, match=rf"a\.{suffix}: needs the package {package}: .*\.\[clouds\]"):
+    with pytest.raises(SourceError, match=rf"a\.{suffix}: needs the package {package}: .*lirs-wct\[clouds\]"):
         build_world(path)
 
 

@@ -10,7 +10,9 @@ import rasterio
 from pyproj import CRS
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.elevation import decode, read_raster
+from lirs_wct.formats import limited
+from lirs_wct.formats.elevation import decode, read_raster, tile_georeference
+from lirs_wct.geometry import geodesy
 from lirs_wct.geometry.geodesy import Georeference
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.source import BuildOptions
@@ -73,6 +75,22 @@ def test_a_grid_lies_where_its_projection_file_says(tmp_path: Path) -> None:
         UserWarning, match=r"a\.asc: names no coordinate system, its coordinates are taken for deg"
     ):
         assert georeference(path).pixel == pytest.approx((85.39, 111.03), rel=1e-4)
+
+
+def test_files_that_need_an_extra_name_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is guessed without PROJ and GDAL; grids and pictures without a system need neither."""
+    for module in (geodesy, limited):
+        monkeypatch.setattr(module, "find_spec", lambda name: None)
+    path, tif, tile = grid(tmp_path, HEADER + HEIGHTS), tmp_path / "g.tif", tmp_path / "14/4825/6156.png"
+    assert read_raster(path).pixels.shape == (3, 4)
+    tif.write_bytes(b"II*\0")
+    with pytest.raises(SourceError, match=r"g\.tif: .*lirs-wct\[dem\]"):
+        read_raster(tif)
+    with pytest.raises(SourceError, match=r"6156\.png: .*lirs-wct\[dem\]"):
+        tile_georeference(tile, (4, 4))
+    path.with_suffix(".prj").write_text(CRS.from_epsg(32633).to_wkt())
+    with pytest.raises(SourceError, match=r"a\.prj: .*lirs-wct\[dem\]"):
+        read_raster(path)
 
 
 def test_grids_as_rasterio_reads_them(tmp_path: Path) -> None:
