@@ -342,7 +342,9 @@ class BagOptions(Options):
     """ROS 2 bag that a command writes."""
 
     storage: Storage = option("mcap", "Storage of the bag's messages.")
-    sensors_only: bool = option(False, "No map -> odom and /map, for a SLAM system that publishes these.")
+    sensors_only: bool = option(
+        False, "Neither map -> odom nor /map, and clouds without NaN: for a SLAM system."
+    )
 
 
 def map_logs(

@@ -6,7 +6,7 @@ import math
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -322,7 +322,7 @@ def conclude(
 
 
 class Recording:
-    """The bag of a drive, with the mapper's results (`map` on /tf, /map) if `slam`."""
+    """The bag of a drive, with the mapper's results (`map` on /tf, /map) and organized clouds if `slam`."""
 
     def __init__(self, writer: BagWriter, folder: Path, *, slam: bool = True) -> None:
         self._writer, self._folder, self._slam = writer, folder, slam
@@ -333,6 +333,8 @@ class Recording:
         if self._T_map_world is None:
             self._T_map_world = Pose3.from_pose2(T_world_base.to_pose2().inverse())
         estimate = T_map_base if self._slam else None
+        if not self._slam and observation.cloud is not None:  # as drivers publish it: LIO-SAM takes no NaN
+            observation = replace(observation, cloud=observation.cloud.by_time())
         self._writer.add(bag_tick(observation, self._T_map_world @ T_world_base, estimate))
 
     def finish(self, grid: OccupancyGrid | None) -> Sequence[Path]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose3
@@ -208,8 +208,8 @@ class PointCloud:
         """Whether the points were measured one column after the other, and not all at once."""
         return len(self) > 0 and bool(self.time.max() > self.time.min())
 
-    def select(self, points: BoolArray) -> PointCloud:
-        """Return the cloud of some points, (n,)."""
+    def select(self, points: BoolArray | IntArray) -> PointCloud:
+        """Return the cloud of some points: a mask (n,), or their numbers."""
         return replace(
             self,
             xyz=self.xyz[points],
@@ -218,6 +218,10 @@ class PointCloud:
             intensity=None if self.intensity is None else self.intensity[points],
             column=None if self.column is None else self.column[points],
         )
+
+    def by_time(self) -> PointCloud:
+        """Return the points in the order of their times, not organized."""
+        return replace(self.select(np.argsort(self.time, kind="stable")), column=None, shape=(0, 0))
 
     def records(self) -> NDArray[Any]:
         """Return the points (n,) as POINT; an unknown intensity is 0."""

@@ -21,6 +21,7 @@ from lirs_wct.files import read_manifest
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.scan import POINT
 from slam_baselines.mapper import MAPPERS
 
 SECONDS = 2.0
@@ -190,3 +191,21 @@ def test_a_ring_lidars_clouds_are_in_the_bag(recorded: Record, tmp_path: Path) -
     assert len(points) == len(made.log.observations) == 11
     assert {field.name for field in points[0].fields} == {"x", "y", "z", "intensity", "ring", "time"}
     assert points[0].width * points[0].height > 10_000
+
+
+def test_clouds_for_a_slam_system_hold_the_returns_in_the_order_of_time(
+    recorded: Record, tmp_path: Path
+) -> None:
+    def clouds(out: Path, *, sensors_only: bool) -> list[Any]:
+        made = recorded(out, lidar="vlp16", noise="datasheet", seconds=0.5, sensors_only=sensors_only)
+        return messages(folder_of(made))["/points"]
+
+    organized = clouds(tmp_path / "all", sensors_only=False)
+    for all_beams, returns in zip(organized, clouds(tmp_path / "some", sensors_only=True), strict=True):
+        wanted = np.frombuffer(bytes(all_beams.data), POINT)
+        wanted = wanted[np.isfinite(wanted["x"])]
+        points = np.frombuffer(bytes(returns.data), POINT)
+        assert 0 < len(points) < all_beams.height * all_beams.width
+        assert (returns.height, returns.width, returns.is_dense) == (1, len(points), True)
+        assert (np.diff(points["time"]) >= 0).all()
+        np.testing.assert_array_equal(points, wanted[np.argsort(wanted["time"], kind="stable")])

@@ -94,5 +94,7 @@ def test_an_organized_cloud_keeps_beams_without_return() -> None:
     np.testing.assert_array_equal(beams[some.ring, some.column], some.records())
     half = some.select(np.array((True, False, True)))
     np.testing.assert_array_equal(half.records(), some.records()[[0, 2]])
-    with pytest.raises(ConfigError, match="not organized"):
-        cloud().organized()
+    np.testing.assert_array_equal(some.by_time().records(), some.records()[[0, 2, 1]])
+    for other in (cloud(), some.by_time()):
+        with pytest.raises(ConfigError, match="not organized"):
+            other.organized()
