@@ -104,3 +104,9 @@ def test_the_guide_for_mappers_lists_the_fields_of_their_values(kind: type) -> N
 def test_pictures_of_the_gallery_are_small() -> None:
     for picture in ("worlds.png", "robots.png", "run.jpg"):
         assert (DOCS / "pictures" / picture).stat().st_size <= 150_000, picture
+
+
+def test_pictures_of_the_first_page_are_small() -> None:
+    sizes = [picture.stat().st_size for picture in (DOCS / "pictures" / "verdicts").iterdir()]
+    assert len(sizes) == 21
+    assert sum(sizes) <= 400_000
