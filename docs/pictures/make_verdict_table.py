@@ -7,6 +7,7 @@ python docs/pictures/make_verdict_table.py RUNS -o docs/pictures/verdicts   # in
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,8 +28,11 @@ METHODS = (
     *("hector_original", "gmapping_original", "cartographer_original", "slam_toolbox_original"),
 )
 FRAMES = {
-    "works": (0, 158, 115), "path only": (230, 159, 0), "adds nothing": (230, 159, 0), "loses its way": (190, 40, 40),
-}  # fmt: skip
+    "works": (0, 158, 115),
+    "path only": (230, 159, 0),
+    "adds nothing": (230, 159, 0),
+    "loses its way": (190, 40, 40),
+}
 """Color around a map by verdict, best first."""
 TRUTH, ESTIMATE = (0, 114, 178), (213, 94, 0)
 SIZE, FRAME = 184, 5
@@ -45,7 +49,7 @@ def main() -> None:
     given.output.mkdir(parents=True, exist_ok=True)
     runs = read_results(given.runs).runs
     for world in WORLDS:
-        print("|", " | ".join(row(world, runs, given.output)), "|")
+        sys.stdout.write(f"| {' | '.join(row(world, runs, given.output))} |\n")
 
 
 def row(world: str, runs: tuple[RunFolder, ...], output: Path) -> Iterator[str]:
@@ -76,7 +80,8 @@ def picture(run: RunFolder, frame: tuple[int, int, int]) -> ByteArray:
         xy = read_tum(run.folder / f"{name}.tum").xy
         pixels = np.stack([xy[:, 0] - west, north - xy[:, 1]], axis=1) / canvas.pixel
         cv2.polylines(shown, [np.round(pixels * 16).astype(np.int32)], False, color, 2, cv2.LINE_AA, 4)
-    return cv2.copyMakeBorder(shown, *4 * (FRAME,), cv2.BORDER_CONSTANT, value=frame)
+    framed: ByteArray = cv2.copyMakeBorder(shown, *4 * (FRAME,), cv2.BORDER_CONSTANT, value=frame)
+    return framed
 
 
 if __name__ == "__main__":
