@@ -347,6 +347,13 @@ class BagOptions(Options):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class LimitsOption(Options):
+    """Limits of the verdicts."""
+
+    limits: Path | None = option(None, "YAML file with limits of the verdicts.", metavar="FILE.yaml")
+
+
 def map_logs(
     sources: Sequence[str], options: BuildOptions, output: Path | None
 ) -> tuple[tuple[str, ...], BuildOptions]:

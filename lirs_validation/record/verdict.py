@@ -53,7 +53,7 @@ LEADS: dict[VerdictClass, str] = {
     "path only": "{who} finds only its path on {world}",
     "works": "{who} works on {world}",
 }
-"""Beginning of the sentence by class."""
+"""Beginning of the sentence by class, from worst to best."""
 DRIVEN, ERROR, ODOMETRY_ERROR = metrics_named(("trajectory.length", ATE, ODOMETRY_ATE))
 AGREE, FALSE = metrics_named(("map.f1_aligned", "map.false_occupied_aligned"))
 ELEVATION, SEEN = metrics_named(("map.elevation_rmse_aligned", "map.elevation_seen"))
@@ -453,11 +453,13 @@ def _meters(length: float) -> str:
     return f"{length / 1000:.3g} km" if length >= 1000 else f"{length:.3g} m"
 
 
-def read_limits(path: Path) -> tuple[VerdictLimits, frozenset[str]]:
+def read_limits(path: Path | None) -> tuple[VerdictLimits, frozenset[str]]:
     """Read limits of verdicts, and the classes that pass in addition to `works`.
 
-    The YAML file has fields of `VerdictLimits`, and `accept`, a list of classes.
+    The YAML file has fields of `VerdictLimits`, and `accept`, a list of classes; None = the defaults.
     """
+    if path is None:
+        return LIMITS, frozenset()
     try:
         entry = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:

@@ -20,6 +20,7 @@ from lirs_validation.record.metric_catalog import (
     worse_than_odometry,
 )
 from lirs_validation.record.run_record import RunGroup, by_group, succeeded, unusual_fields
+from lirs_validation.record.verdict import LIMITS, VerdictLimits, stored_verdict
 from lirs_validation.report.page import PageFigure, PageSection, Tile, page_html
 from lirs_validation.report.paper import suite_tables
 from lirs_validation.report.pictures import distribution_chart, rtf_chart, run_figure
@@ -70,6 +71,8 @@ PICTURES = (
     "true poses give. Right: the built map; vermillion cells are farther than 0.10 m from any occupied cell "
     "of the true-pose map."
 )
+BRIEF = ("paper", "verdicts", "failures", "summary")
+"""Sections in Markdown."""
 SKIPPED = "Folders that are damaged or of another version: in no other table."
 
 
@@ -102,11 +105,15 @@ class Report:
         return {table.key: table for table in tables if table.rows}
 
 
-def report_of(results: ResultFolder) -> Report:
-    """Return the contents of a report on a folder of results."""
+def report_of(results: ResultFolder, limits: VerdictLimits = LIMITS) -> Report:
+    """Return the contents of a report on a folder of results, with verdicts by these limits."""
     manifest = results.manifest or {}
     place = {cell.get("name"): k for k, cell in enumerate(manifest.get("cells", ()))}
-    runs = tuple(sorted(results.runs, key=lambda run: place.get(run.entry["name"], len(place))))
+    ordered = sorted(results.runs, key=lambda run: place.get(run.entry["name"], len(place)))
+    runs = tuple(
+        replace(run, entry={**run.entry, "verdict": stored_verdict(run.entry, limits).to_dict()})
+        for run in ordered
+    )
     entries = [run.entry for run in runs]
     driven = by_group(filter(succeeded, entries)).values()
     counts = [len({run["seed"] for run in runs}) for runs in driven] or [0]
@@ -146,6 +153,13 @@ def report_of(results: ResultFolder) -> Report:
         seeds=seeds,
         checks=(len(results.collisions) - len(failed), len(results.collisions) + len(results.broken)),
     )
+
+
+def report_markdown(report: Report) -> str:
+    """Return title, verdicts, failures and summary of a report as Markdown, without links to files."""
+    sections = (section for section in report.sections if section.key in BRIEF)
+    tables = (table.as_markdown() for section in sections for table in section.tables if table.rows)
+    return "\n".join((f"# {report.title}\n\n{report.subtitle}\n", *tables))
 
 
 def report_page(report: Report, command: str) -> str:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from click.exceptions import Exit
 
-from lirs_validation.cli.command import BagOptions
+from lirs_validation.cli.command import BagOptions, LimitsOption
 from lirs_validation.cli.exit_codes import ExitCode
 from lirs_validation.cli.progress import err, note, out, say
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import Options, argument, option, read_pairs
+from lirs_wct.option import Options, argument, command_line, option, read_pairs
 
 
 def read_offset(text: str, label: str) -> float | Literal["auto"]:
@@ -31,14 +30,13 @@ def read_offset(text: str, label: str) -> float | Literal["auto"]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportOptions(Options):
+class ReportOptions(LimitsOption):
     """Results and files of `report`."""
 
     results: Path = argument("Folder of a sweep, or of one run.", "RESULTS")
     output: Path = option(Path("report.html"), "HTML file to write.", metavar="FILE.html")
-    tables: Path | None = option(
-        None, "Tables as Markdown, or a folder for them as CSV.", metavar="FILE.md|FOLDER"
-    )
+    markdown: Path | None = option(None, "Verdicts and summary as Markdown.", metavar="FILE.md")
+    tables: Path | None = option(None, "Folder for all tables as CSV.", metavar="FOLDER")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,23 +104,23 @@ def report(options: ReportOptions) -> None:
     """Report on a folder of results: one HTML page that opens anywhere, offline.
 
     Examples:
-    lirs-wct report out/ -o report.html --tables report.md
+    lirs-wct report out/ -o report.html --markdown report.md
     """
     from lirs_validation.analysis.results import read_results
-    from lirs_validation.report.run_report import report_of, report_page
+    from lirs_validation.record.verdict import read_limits
+    from lirs_validation.report.run_report import report_markdown, report_of, report_page
 
-    results, output = options.results, options.output
+    results, output, (limits, _) = options.results, options.output, read_limits(options.limits)
     with err.status(f"reading {results}") as status:
         read = read_results(results)
         _print_skipped(read.skipped)
-        contents = report_of(read)
+        contents = report_of(read, limits)
         status.update("drawing")
-        html = report_page(contents, shlex.join(["lirs-wct", "report", str(results), "-o", str(output)]))
+        html = report_page(contents, command_line("report", str(results), options))
     _write(output, html)
-    if options.tables is not None and options.tables.suffix == ".md":
-        tables = [table.as_markdown() for table in contents.tables.values()]
-        _write(options.tables, "\n".join((f"# {contents.title}\n", *tables)))
-    elif options.tables is not None:
+    if options.markdown is not None:
+        _write(options.markdown, report_markdown(contents))
+    if options.tables is not None:
         for table in contents.tables.values():
             _write(options.tables / f"{table.key}.csv", table.as_csv())
     say(f"{output}: {len(contents.runs)} runs, {len(html.encode()) / 1e6:.1f} MB")

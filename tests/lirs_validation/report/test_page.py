@@ -271,8 +271,8 @@ def test_the_command_writes_all_forms(
     mixed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     target, tables, text = tmp_path / "r.html", tmp_path / "tables", tmp_path / "r.md"
-    for path in (tables, text):
-        assert run_command("report", str(mixed), "-o", str(target), "--tables", str(path)) == 0
+    files = ("-o", str(target), "--tables", str(tables), "--markdown", str(text))
+    assert run_command("report", str(mixed), *files) == 0
     assert "skipped broken" in capsys.readouterr().err
     assert target.read_text().startswith("<!DOCTYPE html>")
     written = {path.stem for path in tables.glob("*.csv")}
@@ -286,7 +286,24 @@ def test_the_command_writes_all_forms(
         if e["rtf"]:
             assert recorded[(e["world"]["name"], e["config"]["mapper"], str(e["seed"]))] == e["rtf"]["mean"]
     assert "| ± |" not in text.read_text()
-    assert text.read_text().count("## ") >= 8
+    headings = [line for line in text.read_text().splitlines() if line.startswith("#")]
+    assert headings == [
+        f"# Validation runs in {mixed.name}",
+        "## Verdict",
+        "## Failures",
+        "## Not read",
+        "## Summary",
+    ]
+
+
+def test_a_report_judges_by_given_limits(tmp_path: Path) -> None:
+    saved(tmp_path / "out", ate=0.1)
+    (tmp_path / "limits.yaml").write_text("small_error: 0.01\ngain: 0.1\n")
+    files = ("-o", str(tmp_path / "r.html"), "--markdown", str(tmp_path / "r.md"))
+    for options, kind in (((), "works"), (("--limits", str(tmp_path / "limits.yaml")), "adds nothing")):
+        assert run_command("report", str(tmp_path / "out"), *files, *options) == 0
+        assert f"| simple | hector | {kind} | hector on husky {kind}" in (tmp_path / "r.md").read_text()
+        assert kind in (tmp_path / "r.html").read_text()
 
 
 def test_methods_as_published_have_one_row_per_world(tmp_path: Path) -> None:
