@@ -3,6 +3,7 @@
 A stand-in for the runner's environment runs the steps; GitHub's runner itself is not used.
 """
 
+import json
 import os
 import re
 import shutil
@@ -178,7 +179,7 @@ def test_the_action_passes_where_every_verdict_works(tmp_path: Path) -> None:
     code, runner = drive(tmp_path, mapper="hector")
     assert code == 0
     summary = runner.summary.read_text(encoding="utf-8")
-    assert "\n- hector on husky works on medium." in summary
+    assert "| works | hector on husky works on medium." in summary
     assert "| medium | hector | 1 of 1 |" in summary
     assert f"\n- [Paths and map of one run]({UPLOADS['picture']})" in summary
     assert f"\n- [Report and all results]({UPLOADS['results']})" in summary
@@ -195,8 +196,8 @@ def test_the_gate_fails_the_job_unless_the_limits_or_the_user_say_otherwise(tmp_
     code, runner = drive(tmp_path, mapper="hector,mine.py:Mine")
     assert code == 4
     summary = runner.summary.read_text(encoding="utf-8")
-    assert "\n- hector on husky works" in summary
-    assert "\n- Mine on husky adds nothing to the odometry" in summary
+    assert "| works | hector on husky works" in summary
+    assert "| adds nothing | Mine on husky adds nothing to the odometry" in summary
     assert "**The gate failed:**" in summary
     folder = Path(runner.outputs["drive"]["folder"])
     (run,) = (path.parent for path in folder.glob("*/record.json") if "hector" not in path.parent.name)
@@ -205,8 +206,28 @@ def test_the_gate_fails_the_job_unless_the_limits_or_the_user_say_otherwise(tmp_
     (tmp_path / "limits.yaml").write_text("small_error: 0.2\n", encoding="utf-8")
     runner.summary.unlink()
     assert drive(tmp_path, mapper="mine.py:Mine", limits="limits.yaml")[0] == 0
-    assert "\n- Mine on husky works" in runner.summary.read_text(encoding="utf-8")
+    assert "| works | Mine on husky works" in runner.summary.read_text(encoding="utf-8")
     assert drive(tmp_path, mapper="mine.py:Mine", gate="false")[0] == 0
+
+
+@pytest.mark.slow
+def test_with_a_baseline_the_gate_fails_for_what_got_worse(tmp_path: Path) -> None:
+    inputs = {"mapper": "mine.py:Mine", "seeds": "1-3"}
+    code, runner = drive(tmp_path, gate="false", **inputs)
+    assert code == 0
+    stored = tmp_path / "baseline"
+    shutil.copytree(runner.outputs["drive"]["folder"], stored, ignore=lambda _, names: [
+        name for name in names if "." in name and name != "record.json"
+    ])  # fmt: skip
+    for path in stored.glob("*/record.json"):
+        record = yaml.safe_load(path.read_text(encoding="utf-8"))
+        record["trajectory"]["ate_rmse"] -= 0.03 + 0.001 * record["seed"]
+        path.write_text(json.dumps(record), encoding="utf-8")
+    runner.summary.unlink()
+    assert drive(tmp_path, baseline="baseline", **inputs)[0] == 4
+    summary = runner.summary.read_text(encoding="utf-8")
+    assert "\n- worse than the baseline: ATE of mine.py:Mine on medium, husky: " in summary
+    assert "**The gate failed:**" in summary
 
 
 @pytest.mark.slow

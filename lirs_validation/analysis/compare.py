@@ -211,6 +211,12 @@ def paired_test(d: FloatArray) -> tuple[Test, float | None, float | None, float 
     return "t", float(scipy.stats.ttest_1samp(d, 0.0).pvalue), low, high
 
 
+def least_effect(pairs: int, tests: int) -> float:
+    """Return the smallest mean difference, in deviations, that one of several t tests finds (Holm)."""
+    critical = scipy.stats.t.isf(LEVEL / (2 * tests), pairs - 1) if pairs > 1 else math.inf
+    return float(critical) / math.sqrt(pairs)
+
+
 def holm(p: FloatArray) -> FloatArray:
     """Correct p values (n,) after Holm: the k-th smallest times n - k + 1."""
     order = np.argsort(p, kind="stable")

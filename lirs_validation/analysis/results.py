@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -14,7 +15,14 @@ from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.config import RunConfig
 from lirs_validation.record.map_record import is_mapped_log
 from lirs_validation.record.metric_catalog import Entry
-from lirs_validation.record.run_record import RECORD, read_record, schema_error, source_files
+from lirs_validation.record.run_record import (
+    RECORD,
+    RunGroup,
+    distinguishing_fields,
+    read_record,
+    schema_error,
+    source_files,
+)
 from lirs_validation.sweep.sweep import MANIFEST, read_status
 from lirs_validation.sweep.tasks import STATUS, read_verdict
 from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
@@ -100,6 +108,21 @@ def read_results(root: Path) -> ResultFolder:
         named = "".join(f"; {name}: {reason}" for name, reason in skipped[:3])
         raise SourceError(f"{root}: holds no readable record of a run (folders with a record.json){named}")
     return ResultFolder(root, tuple(runs), tuple(verdicts), tuple(broken), tuple(skipped), manifest)
+
+
+def read_baseline(folder: Path, cells: Sequence[Entry]) -> list[Entry]:
+    """Return the stored runs that others, described as in `sweep.json`, repeat by group and seed."""
+    results = read_results(folder)
+    for name, reason in results.skipped:
+        raise SourceError(f"{folder / name}: {reason}")
+    stored = {(RunGroup.of(run.entry), run.entry["seed"]): run.entry for run in results.runs}
+    planned = [(RunGroup.of({"world": {"name": c["world"]}, "config": c}), c["seed"]) for c in cells]
+    if found := [stored[run] for run in planned if run in stored]:
+        return found
+    fields = distinguishing_fields(group for group, _ in (*stored, *planned))
+    required, *got = (f"{group.label(fields)}, seed {seed}" for group, seed in (planned[0], *stored))
+    wanted = f"must hold one of the runs to drive, such as {required}"
+    raise ConfigError(f"{folder}: {wanted}; got {got[0] if got else 'none'}")
 
 
 def _manifest(path: Path, skipped: list[tuple[str, str]]) -> Entry | None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import shlex
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 from operator import attrgetter
 from pathlib import Path
 from statistics import median
@@ -14,7 +15,7 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from lirs_validation.analysis.compare import ORIGINAL, repeats
+from lirs_validation.analysis.compare import ORIGINAL, compare, least_effect, repeats
 from lirs_validation.analysis.results import recorded_config
 from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.config import RUN_AXES, WORLD_FLAGS, RunConfig
@@ -47,7 +48,7 @@ from lirs_validation.record.run_record import (
     succeeded,
     unusual_fields,
 )
-from lirs_validation.record.verdict import LIMITS, VerdictLimits, class_counts, stored_verdict
+from lirs_validation.record.verdict import LEADS, LIMITS, VerdictLimits, class_counts, stored_verdict
 from lirs_validation.report.table import Content, MetricSpread, ReportTable
 from lirs_validation.sweep.sweep import Sweep
 from lirs_validation.sweep.tasks import CollisionTask, read_verdict
@@ -78,6 +79,10 @@ FACTS = {"world": "world.name", **{name: f"config.{name}" for name in RUN_AXES},
 FIXED_COLUMNS = ("world", "robot", "mapper", "seed", "status")
 """Columns that are always shown."""
 
+QUALITY = tuple(metric for metric in metrics_selected("compared") if metric.section in ("trajectory", "map"))
+"""Figures that stored runs are compared by; times depend on the machine."""
+LEAST_VERDICTS, CLEAR = 3, 2.0
+"""Fewest seeds whose verdicts are all worse; change that seeds should show, in spreads over the seeds."""
 COLLISION_COLUMNS: tuple[tuple[str, Callable[[CollisionVerdict], str]], ...] = (
     ("world", lambda v: v.world),
     ("robot", lambda v: v.robot),
@@ -310,6 +315,44 @@ def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> l
         kinds[group["mapper"]] += [verdict.kind for verdict in verdicts]
     by_mapper = [f"verdict, {mapper}: {class_counts(found)}" for mapper, found in kinds.items()]
     return lines if len(lines) <= MAX_NAMED else by_mapper
+
+
+def baseline_lines(
+    stored: Sequence[Entry], entries: Sequence[Entry], limits: VerdictLimits, accepted: Collection[str]
+) -> tuple[list[str], list[str]]:
+    """Return lines on what is significantly worse than stored runs, and on how well this is known.
+
+    Changes that the figures' digits do not show are left out.
+    """
+    found, order, lead = compare(stored, entries, QUALITY), list(LEADS), "worse than the baseline"
+    tested = [d for d in found.differences if d.metric.tested]
+    worse = [
+        f"{lead}: {d.metric.name} of {_method(d.group)}: {text(d.a)} -> "
+        f"{f'{text(d.b)} {d.metric.unit}'.rstrip()} ({d.pairs} pairs, p = {d.p_corrected:.1g})"
+        for d in tested
+        if d.significant and (d.difference > 0) == (d.metric.better == "less")
+        if (text := d.metric.formatted)(d.a) != text(d.b)
+    ]
+    for group, results in found.common.items():
+        a, b = ({run["seed"]: stored_verdict(run, limits).kind for run in runs} for runs in results)
+        kinds = [(a[seed], b[seed]) for seed in a if seed in b]
+        fell = [order.index(now) < order.index(before) and now not in accepted for before, now in kinds]
+        if len(kinds) >= LEAST_VERDICTS and all(fell):
+            before, now = map(class_counts, zip(*kinds, strict=True))
+            worse.append(f"{lead}: verdict of {_method(group)}: {before} -> {now}")
+    notes = [f"not in the baseline: {_method(group)}" for group in found.only_b]
+    pairs, tests = min((d.pairs for d in tested), default=0), len(tested)
+    if pairs and (least := least_effect(pairs, tests)) > CLEAR:
+        needed = next(n for n in count(pairs) if least_effect(n, tests) <= CLEAR)
+        above = f"only changes above {least:.0f} times their spread over the seeds are"
+        line = f"{pairs} pairs of runs: {above}" if pairs > 1 else "1 pair of runs: no change is"
+        notes.append(f"{line} significant; {needed} seeds find changes of {CLEAR:g} times their spread")
+    return worse, notes if worse else [*notes, f"none of {tests} figures is significantly worse"]
+
+
+def _method(group: RunGroup) -> str:
+    """Return mapper and place of a group as in a sentence."""
+    return f"{group['mapper']} on {group.label({'world', 'robot', *unusual_fields([group])} - {'mapper'})}"
 
 
 def verdicts_by_method(entries: Sequence[Entry]) -> ReportTable:

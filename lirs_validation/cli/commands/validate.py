@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from click.exceptions import Exit
 
-from lirs_validation.cli.command import BagOptions, common, map_logs, sources_argument
+from lirs_validation.cli.command import BagOptions, LimitsOption, common, map_logs, sources_argument
 from lirs_validation.cli.exit_codes import ExitCode
 from lirs_validation.cli.progress import command_line, note, out, progress_bar, run_sweep, say
 from lirs_validation.config import DRIVABLE, RUN_AXES, STAND, EngineOptions, RunConfig, World, run_name
 from lirs_validation.record.run_record import read_record
-from lirs_validation.record.verdict import LIMITS, Verdict, VerdictLimits, read_limits, stored_verdict
+from lirs_validation.record.verdict import LIMITS, VerdictLimits, read_limits, stored_verdict
 from lirs_wct import BuildOptions, ConfigError, OutputError, SourceError, WctError
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.option import Options, option
@@ -45,19 +45,22 @@ class SweepOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ValidateOptions(SweepOptions):
+class ValidateOptions(SweepOptions, LimitsOption):
     """Sources, results and gate of `validate`."""
 
     output: Path = option(Path("out"), "Folder for the runs' folders.")
     gate: bool = option(False, "Exit with code 4 unless every verdict is `works`.")
-    limits: Path | None = option(
-        None, "YAML file with limits of the verdicts for --gate.", metavar="FILE.yaml"
+    baseline: Path | None = option(
+        None, "Stored runs: --gate fails instead where a run is significantly worse.", metavar="FOLDER"
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.limits is not None and not self.gate:
-            raise ConfigError("--limits is for --gate, which is not given")
+        for name in ("limits", "baseline"):
+            if getattr(self, name) is not None and not self.gate:
+                raise ConfigError(f"--{name} is for --gate, which is not given")
+        if self.baseline is not None and self.baseline.resolve() == self.output.resolve():
+            raise ConfigError(f"{self.baseline}: the baseline must be another folder than --output")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,17 +93,28 @@ def validate(
 ) -> None:
     """Drive robots through worlds with SLAM running, and evaluate map, trajectory and speed.
 
-    The same command resumes an interrupted sweep. The last line is the verdict.
+    The same command resumes an interrupted sweep. The last line is the verdict, or the gate's.
 
     Examples:
     lirs-wct validate examples/data/dunes.png --mapper hector --seconds 60 --seed 1 -o out/
     lirs-wct validate simple medium --robot husky,jackal --mapper hector,gmapping --seed 1-5 -o out/
     lirs-wct validate medium --lidar vlp16 --mapper kiss-icp,genz-icp,hector --seed 1-3 -o out/
     """
-    accepted = read_limits(options.limits) if options.limits is not None else (LIMITS, frozenset[str]())
+    from lirs_validation.analysis.results import read_baseline
+    from lirs_validation.report.run_tables import baseline_lines
+
+    limits, accepted = read_limits(options.limits)
     tasks = read_tasks(options, run, build)
-    found = _run(tasks, engine, options.output, options.suite, limits=accepted[0])
-    if options.gate and not all(verdict.kind in {"works", *accepted[1]} for verdict in found):
+    cells = [cell for task in tasks if "mapper" in (cell := task.describe())]
+    stored = [] if options.baseline is None else read_baseline(options.baseline, cells)
+    runs = _run(tasks, engine, options.output, options.suite, limits=limits)
+    passed = all(stored_verdict(entry, limits).kind in {"works", *accepted} for entry in runs)
+    if stored:
+        worse, notes = baseline_lines(stored, runs, limits, accepted)
+        passed = not worse
+        for line in (*worse, *notes):
+            say(f"gate: {line}")
+    if options.gate and not passed:
         raise Exit(ExitCode.GATE_FAILED)
 
 
@@ -166,15 +180,15 @@ def _run(
     *,
     listed: bool = True,
     limits: VerdictLimits = LIMITS,
-) -> list[Verdict]:
-    """Run tasks, print their tables and verdicts; return the verdicts."""
+) -> list[dict[str, Any]]:
+    """Run tasks, print their tables and verdicts; return the records of the runs."""
     from lirs_validation.sweep.sweep import Sweep
 
     options: dict[str, Any] = {"command": command_line(), "suite": suite, "listed": listed}
     sweep = Sweep(tasks, out, **options, retry_failed=engine.retry_failed)
-    verdicts: list[Verdict] = []
-    run_sweep(sweep, engine, lambda: verdicts.extend(_show(sweep, limits)))
-    return verdicts
+    runs: list[dict[str, Any]] = []
+    run_sweep(sweep, engine, lambda: runs.extend(_show(sweep, limits)))
+    return runs
 
 
 def _check_free(folder: Path, task: RunTask) -> None:
@@ -190,8 +204,8 @@ def _check_free(folder: Path, task: RunTask) -> None:
         raise OutputError(f"{folder}: holds another run, {held}; choose another --output")
 
 
-def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
-    """Print tables, folders and verdicts of a sweep; return the verdicts."""
+def _show(sweep: Sweep, limits: VerdictLimits) -> list[dict[str, Any]]:
+    """Print tables, folders and verdicts of a sweep; return the records of its runs."""
     from lirs_validation.report.run_tables import sweep_tables, verdict_lines
 
     if not sweep.outcomes:
@@ -210,7 +224,7 @@ def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
         say(f"inertial readings: {', '.join(sorted(rates))}")
     for line in verdict_lines(runs, limits):
         say(line)
-    return [stored_verdict(entry, limits) for entry in runs]
+    return runs
 
 
 def collide(options: CollideOptions, build: World) -> None:

@@ -1,5 +1,6 @@
 """Which differences are significant: against SciPy's tests, on differences that are known."""
 
+import copy
 import csv
 import io
 import json
@@ -12,13 +13,16 @@ from hypothesis.extra.numpy import arrays
 from rich.console import Console
 from scipy import stats
 
-from lirs_validation.analysis.compare import compare, holm, only, paired_test, repeats
+from lirs_validation.analysis.compare import compare, holm, least_effect, only, paired_test, repeats
 from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
+from lirs_validation.record.verdict import LIMITS
 from lirs_validation.report.compare_tables import compare_table, write_comparison
+from lirs_validation.report.run_tables import baseline_lines
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.records import entry
 
 ATE = metrics_named(["trajectory.ate_rmse"])
+ENTRY = entry()
 
 
 @settings(max_examples=25)
@@ -161,3 +165,40 @@ def shown(comparison: object) -> str:
     console = Console(width=110, record=True, file=io.StringIO())
     console.print(compare_table(comparison, ("a", "b")))  # type: ignore[arg-type]
     return console.export_text()
+
+
+def test_the_least_effect_is_the_edge_of_significance() -> None:
+    """Beside other tests without effect, Holm multiplies the smallest p by their number."""
+    rng = np.random.default_rng(1)
+    for pairs, tests in ((2, 1), (3, 5), (6, 10), (30, 4)):
+        d = rng.normal(size=pairs)
+        d = (d - d.mean()) / d.std(ddof=1)
+        for factor in (0.999, 1.001):
+            p = stats.ttest_1samp(d + factor * least_effect(pairs, tests), 0.0).pvalue
+            assert (holm(np.array([p, *[1.0] * (tests - 1)]))[0] < 0.05) == (factor > 1)
+    assert least_effect(1, 1) == np.inf
+
+
+def noisy(rng: np.random.Generator, worse: float, seeds: int) -> list[dict[str, object]]:
+    """Return runs of a method in noise that another result does not share; `worse` scales its errors."""
+    ate = 0.03 * worse * np.exp(0.3 * rng.normal(size=seeds))
+    f1 = 1 - 0.03 * worse * np.exp(0.3 * rng.normal(size=seeds))
+    runs = [copy.deepcopy(ENTRY) | {"seed": seed} for seed in range(seeds)]
+    for k, run in enumerate(runs):
+        run["trajectory"] |= {"ate_rmse": ate[k], "final_drift": 2 * ate[k] * rng.random()}
+        run["map"] |= {"f1_aligned": f1[k], "false_occupied_aligned": (1 - f1[k]) * rng.random()}
+    return runs
+
+
+@pytest.mark.parametrize("seeds", [2, 3, 6, 12])
+def test_a_baseline_passes_the_same_method_in_other_noise_and_fails_a_worse_one(seeds: int) -> None:
+    rng, false, found = np.random.default_rng(seeds), 0, 0
+    for _ in range(60):
+        base, same, bad = (noisy(rng, factor, seeds) for factor in (1.0, 1.0, 3.0))
+        false += bool(baseline_lines(base, same, LIMITS, ())[0])
+        lines = baseline_lines(base, bad, LIMITS, ())[0]
+        found += any(
+            line.startswith("worse than the baseline: ATE of hector on simple, husky: ") for line in lines
+        )
+    assert false <= 3
+    assert found >= {2: 0, 3: 3, 6: 36, 12: 60}[seeds]

@@ -1,6 +1,8 @@
 """`validate` over axes: what is wrong is said before anything runs; what failed is in table and exit code."""
 
 import json
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import MapperError
 from slam_baselines.mapper import MAPPERS
 from tests.command_line import run_command
-from tests.lirs_validation.records import record, saved_whole
+from tests.lirs_validation.records import record, saved, saved_whole
 
 
 @pytest.fixture
@@ -137,6 +139,95 @@ def test_limits_need_the_gate(wct: Any, tmp_path: Path) -> None:
     assert (code, message.count("\n")) == (2, 1)
     assert "--limits is for --gate" in message
     assert not (tmp_path / "out").exists()
+
+
+def store(folder: Path, seeds: range, **config: Any) -> None:
+    """Write a baseline whose ATE is 5 mm above that of the quick runs, give or take 2."""
+    for seed in seeds:
+        saved(folder, "simple", seed, ate=0.025 + 0.002 * (-1) ** seed, **config)
+
+
+@pytest.mark.usefixtures("quick")
+def test_the_gate_with_a_baseline_names_what_is_significantly_worse(wct: Any, tmp_path: Path) -> None:
+    gate = ("validate", "simple", "--seed", "1,2,4-8", "--seconds", "30", "--gate", "--baseline")
+    store(tmp_path / "worse", range(1, 9))
+    code, shown, _ = wct(*gate, "worse")
+    assert code == 0
+    assert shown.endswith("\ngate: none of 6 figures is significantly worse\n")
+    for path in (tmp_path / "worse").glob("*/record.json"):
+        stored = json.loads(path.read_text())
+        stored["trajectory"]["ate_rmse"] -= 0.01
+        path.write_text(json.dumps(stored))
+    code, shown, _ = wct(*gate, "worse")
+    assert code == 4
+    named = "gate: worse than the baseline: ATE of hector on simple, husky: 0.015 -> 0.020 m"
+    assert re.fullmatch(rf"{named} \(7 pairs, p = 0.00\d\)", shown.splitlines()[-1])
+    code, shown, _ = wct("validate", "simple", "medium", *gate[2:], "worse")
+    assert code == 4
+    assert "gate: not in the baseline: hector on medium, husky\n" in shown
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_baseline_needs_no_verdict_that_works_but_none_that_got_worse(wct: Any, tmp_path: Path) -> None:
+    (tmp_path / "limits.yaml").write_text("f1_aligned: 0.99\n")
+    gate = ("--seconds", "30", "--gate", "--limits", "limits.yaml", "--baseline", "base")
+    store(tmp_path / "base", range(1, 9))
+    assert wct("validate", "simple", "--seed", "1,2,4", *gate)[0] == 0
+    for path in (tmp_path / "base").glob("*/record.json"):
+        stored = json.loads(path.read_text())
+        stored["map"]["f1_aligned"] = 1.0 - 0.008 * (stored["seed"] == 2)
+        path.write_text(json.dumps(stored))
+    code, shown, _ = wct("validate", "simple", "--seed", "1,2", *gate)
+    assert code == 0
+    code, shown, _ = wct("validate", "simple", "--seed", "1,2,4", *gate)
+    assert code == 4
+    assert "verdict of hector on simple, husky: works (3 of 3) -> path only (3 of 3)" in shown
+    (tmp_path / "limits.yaml").write_text("f1_aligned: 0.99\naccept: [path only]\n")
+    assert "verdict of hector" not in wct("validate", "simple", "--seed", "1,2,4", *gate)[1]
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_gate_with_few_seeds_says_what_they_can_show(wct: Any, tmp_path: Path) -> None:
+    store(tmp_path / "base", range(1, 9))
+    gate = ("--seconds", "30", "--gate", "--baseline", "base")
+    shown = wct("validate", "simple", "--seed", "1", *gate)[1]
+    needed = "significant; 6 seeds find changes of 2 times their spread\n"
+    assert f"gate: 1 pair of runs: no change is {needed}" in shown
+    shown = wct("validate", "simple", "--seed", "1,2,4", *gate)[1]
+    assert "gate: 3 pairs of runs: only changes above 6 times their spread over the seeds are" in shown
+    assert needed in shown
+    assert "pairs of runs" not in wct("validate", "simple", "--seed", "1,2,4-7", *gate)[1]
+    assert wct("validate", "simple", "--seed", "1-4", *gate)[0] == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--baseline", "base"), "--baseline is for --gate, which is not given"),
+        (("--gate", "--baseline", "none"), "none: no such folder of results"),
+        (("--gate", "--baseline", "empty"), "empty: holds no readable record of a run"),
+        (("--gate", "--baseline", "base", "-o", "./base"), "base: the baseline must be another folder than"),
+        (
+            ("--gate", "--baseline", "base", "--mapper", "gmapping"),
+            "such as gmapping, seed 1; got hector, seed 1",
+        ),
+        (("--gate", "--baseline", "base", "--seed", "9"), "such as simple, seed 9; got simple, seed "),
+        (("--gate", "--baseline", "damaged"), ": record.json: not a run's record, or damaged"),
+    ],
+)
+def test_a_wrong_baseline_is_one_line_before_anything_runs(
+    options: tuple[str, ...], expected: str, wct: Any, tmp_path: Path
+) -> None:
+    store(tmp_path / "base", range(1, 3))
+    (tmp_path / "empty").mkdir()
+    shutil.copytree(tmp_path / "base", tmp_path / "damaged")
+    (next((tmp_path / "damaged").glob("*-s2-*")) / "record.json").write_text("{")
+    before = sorted(tmp_path.rglob("*"))
+    code, _, complaint = wct("validate", "simple", "--seconds", "30", *options)
+    assert code == 2
+    assert expected in complaint
+    assert complaint.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 OFFICE = Path(__file__).parents[3] / "examples/data/office.yaml"
