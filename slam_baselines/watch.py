@@ -128,9 +128,9 @@ def _plausible_step(poses: FloatArray, stamps: FloatArray) -> tuple[float, float
     A step is a jump if no acceleration explains how it differs from the median velocity. The step by the
     median velocity then replaces it.
     """
-    times = np.maximum(np.diff(stamps), 1e-3)
-    velocities = np.empty((3, STEPS))
+    times, velocities = np.empty(STEPS), np.empty((3, STEPS))
     for k in range(STEPS):
+        times[k] = max(stamps[k + 1] - stamps[k], 1e-3)
         turn = (poses[k + 1, 2] - poses[k, 2] + math.pi) % math.tau - math.pi
         heading = poses[k, 2] + turn / 2
         c, s = math.cos(heading), math.sin(heading)
@@ -138,9 +138,9 @@ def _plausible_step(poses: FloatArray, stamps: FloatArray) -> tuple[float, float
         velocities[0, k] = (c * dx + s * dy) / times[k]
         velocities[1, k] = (c * dy - s * dx) / times[k]
         velocities[2, k] = turn / times[k]
-    longest = times[MIDDLE - 1 : MIDDLE + 2].max()
+    longest = max(times[MIDDLE - 1], times[MIDDLE], times[MIDDLE + 1])
     limit = min(ACCELERATION * times[MIDDLE] * longest, MOST_CHANGE) + ROUNDING
-    expected = (np.median(velocities[0]), np.median(velocities[1]), np.median(velocities[2]))
+    expected = (_median(velocities[0]), _median(velocities[1]), _median(velocities[2]))
     jumps = False
     for k in range(3):
         off = abs(velocities[k, MIDDLE] - expected[k]) * times[MIDDLE]
@@ -148,6 +148,19 @@ def _plausible_step(poses: FloatArray, stamps: FloatArray) -> tuple[float, float
     if not jumps:
         expected = (velocities[0, MIDDLE], velocities[1, MIDDLE], velocities[2, MIDDLE])
     return expected[0] * times[MIDDLE], expected[1] * times[MIDDLE], expected[2] * times[MIDDLE]
+
+
+@njit
+def _median(values: FloatArray) -> float:
+    """Return the median of an odd number of values; NumPy's takes the compiler seconds."""
+    for value in values:
+        below, not_above = 0, 0
+        for other in values:
+            below += other < value
+            not_above += other <= value
+        if below <= len(values) // 2 < not_above:
+            return float(value)
+    return math.nan
 
 
 @njit
@@ -164,7 +177,9 @@ def _store(window: FloatArray, state: FloatArray, pose: FloatArray, step: float)
         first += 1
     if end == len(window):  # move the window to the front; of one that fills it, leave out the older half
         first = max(first, end // 2)
-        window[: end - first] = window[first:end].copy()
+        for k in range(first, end):
+            for column in range(COLUMNS):
+                window[k - first, column] = window[k, column]
         first, end = 0, end - first
     row = window[end]
     row[DRIVEN] = driven

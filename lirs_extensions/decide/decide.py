@@ -258,7 +258,8 @@ class TimedDrives:
     """Drives into a folder, of which those that would end after the deadline are stopped.
 
     Attributes:
-        costs: Wall seconds of a drive by config with seed 0, estimated from its first seconds.
+        costs: Wall seconds of a drive by config with seed 0, without the compiler; estimated from its first
+            seconds.
         trials: TrialArchive that may need more drives.
     """
 
@@ -320,7 +321,7 @@ class TimedDrives:
             with interrupt_after(self._budget.deadline - self._started), closing(outcomes):
                 for outcome in outcomes:
                     config = self._running[outcome.task]
-                    self.costs[key_of(config)] = time.monotonic() - self._started
+                    self.costs[key_of(config)] = time.monotonic() - self._started - outcome.compile_seconds
                     del self._ends[outcome.task]
                     self._read(outcome.task, config)
         except KeyboardInterrupt as error:
@@ -337,7 +338,7 @@ class TimedDrives:
             begun, done = self._driving.setdefault(name, (now, share))
             if now - begun >= FIRST_SECONDS and share > done:
                 self._ends[name] = now + (now - begun) * (1 - share) / (share - done)
-                self._estimate(key_of(self._running[name]), self._ends[name] - self._started)
+                self._estimate(key_of(self._running[name]), self._ends[name] - begun)
         if step != "evaluate" and min(self._ends.values()) > self._budget.deadline:
             raise BudgetEnded
 

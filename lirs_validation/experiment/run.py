@@ -42,6 +42,7 @@ from lirs_wct.files import atomic_folder, check_writable, scratch_folder
 from lirs_wct.formats import drive_files, map_server
 from lirs_wct.option import check_names
 from slam_baselines.mapper import MAPPERS, warm_up as warm_up_mapper
+from slam_baselines.watch import STEPS, Watch
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.canvas import Drawing
@@ -256,6 +257,9 @@ def warm_up(config: RunConfig, simulation: Simulation, start: Pose2) -> None:
     simulation.reset(start)
     with suppress(SimulationError):  # the drive reports it
         simulation.advance(Twist())
+    watch = Watch()
+    for k in range(STEPS + 1):
+        watch.update(Pose2(), 0.1 * k)
     if config.driver == FRONTIER:
         warm_up_explorer()
     if config.mapper in MAPPERS and config.mapper not in _WARM:

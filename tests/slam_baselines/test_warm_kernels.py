@@ -10,22 +10,29 @@ import pytest
 from slam_baselines.mapper import MAPPERS, make_mapper, room_pose, room_scan, warm_up
 
 SLOW = ("cartographer_original", "gmapping", "gmapping_original", "hector_original")
-DRIVE = """
+KERNELS = """
 import sys
+
+def kernels():
+    return {
+        f"{module}.{name}": set(kernel.signatures)
+        for module, held in list(sys.modules.items())
+        if module.startswith(("lirs_", "slam_baselines"))
+        for name, kernel in vars(held).items() if hasattr(kernel, "py_func")
+    }
+
+def show(before):
+    after = kernels()
+    print(sum(map(bool, after.values())))
+    print(*(key for key in after if after[key] != before.get(key)))
+"""
+UPDATES = """
 import numpy as np
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 from slam_baselines.mapper import make_mapper, warm_up
 from tests.slam_baselines.cartographer.corridor import corridor_scan, ring
 from tests.slam_baselines.synthetic import loop, room_scan
-
-def kernels():
-    return {
-        f"{module}.{name}": set(kernel.signatures)
-        for module, held in list(sys.modules.items())
-        if module.startswith(("slam_baselines", "lirs_extensions"))
-        for name, kernel in vars(held).items() if hasattr(kernel, "py_func")
-    }
 
 name = sys.argv[1]
 warm_up(name)
@@ -37,25 +44,44 @@ for see, poses, tilt in (sparse, dense, (room_scan, loop(150), 0.05)):
         slipped = poses[0].inverse() @ pose @ Pose2(0.6 if i > 60 else 0.0, 0.3 if i > 60 else 0.0, 0.002 * i)
         imu = Imu(roll=tilt * np.sin(i / 9), pitch=tilt, stamp=0.2 * i) if tilt else None
         mapper.update(see(pose, 0.2 * i, rng), slipped, imu)
-after = kernels()
-print(sum(map(bool, after.values())))
-print(*(key for key in after if after[key] != before.get(key)))
+show(before)
 """
+DRIVE = """
+from lirs_validation.config import RunConfig
+from lirs_validation.experiment.run import prepare
+
+ready = prepare(RunConfig(source="medium", mapper=sys.argv[1], seconds=4))
+before, log = kernels(), ready.log()
+for _ in ready.drive(log):
+    pass
+show(before)
+"""
+
+
+def compiled(program: str, name: str) -> str:
+    """Return the kernels that a program compiles after the warm-up of a mapper."""
+    root = Path(__file__).parents[2]
+    path = os.pathsep.join((str(root), str(root / "envs"), os.environ.get("PYTHONPATH", "")))
+    done = subprocess.run(
+        [sys.executable, "-c", KERNELS + program, name], cwd=root, capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": path}, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    count, names = done.stdout.splitlines()[:2]
+    assert int(count) > 1
+    return names
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MAPPERS)
 def test_no_update_compiles_after_the_warm_up(name: str) -> None:
-    root = Path(__file__).parents[2]
-    path = os.pathsep.join((str(root), str(root / "envs"), os.environ.get("PYTHONPATH", "")))
-    done = subprocess.run(
-        [sys.executable, "-c", DRIVE, name], cwd=root, capture_output=True, text=True, timeout=600,
-        env=os.environ | {"PYTHONPATH": path},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    count, compiled = done.stdout.splitlines()[:2]
-    assert int(count) > 1
-    assert compiled == ""
+    assert compiled(UPDATES, name) == ""
+
+
+@pytest.mark.slow
+def test_no_drive_compiles_after_its_warm_up() -> None:
+    """The time of its first seconds predicts when a drive ends."""
+    assert compiled(DRIVE, "hector") == ""
 
 
 @pytest.mark.parametrize(
