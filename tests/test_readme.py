@@ -46,8 +46,8 @@ SHORT = {
     "collide": "--seconds 1",
 }
 """Options that shorten a command: the last of its kind counts."""
-PARSED = ("gui", "--suite paper", "bench")
-"""Parts of commands that need a browser, or hours."""
+PARSED = ("gui", "--suite paper", "bench", "falsify")
+"""Parts of commands that need a browser, or minutes."""
 
 
 @pytest.fixture(scope="module")

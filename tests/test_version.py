@@ -18,3 +18,9 @@ def test_the_changelog_begins_with_the_version_and_its_date() -> None:
     headings = re.findall(r"^## (.*)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     released = headings[headings[0] == "Unreleased" :]
     assert re.fullmatch(rf"{re.escape(VERSION)} \(\d{{4}}-\d\d-\d\d\)", released[0])
+
+
+def test_the_readme_installs_the_wheel_of_the_version() -> None:
+    wheels = re.findall(r"lirs_wct-(\S+)-py3", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert wheels
+    assert set(wheels) == {VERSION}

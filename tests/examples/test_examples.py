@@ -19,6 +19,7 @@ RUN_BELOW = {
     "map_a_log",
     "train_pretrained",
     "validate_slam",
+    "wrong_roll",
     "your_own_mapper",
 }
 RUN_ELSEWHERE = {"live_driver", "flat_robots"}
@@ -79,6 +80,37 @@ def test_your_own_mapper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     )  # fmt: skip
     assert run.record.status == "ok"
     assert run.record.trajectory["ate_rmse"] == pytest.approx(run.record.trajectory["odometry_ate_rmse"])
+
+
+@pytest.mark.slow
+def test_wrong_roll_works_on_a_floor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lirs_validation import validate
+
+    monkeypatch.chdir(ROOT)
+    mapper, office = "examples.wrong_roll:WrongRoll", EXAMPLES / "data" / "office.yaml"
+    run = validate(office, seconds=30, mapper=mapper, out=tmp_path)
+    assert run.verdict.kind == "works"
+
+
+def test_wrong_roll_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    from lirs_wct import Imu
+    from slam_baselines.hector import HectorMapper
+
+    monkeypatch.syspath_prepend(str(ROOT))
+    from examples.wrong_roll import WrongRoll
+
+    seen: list[Imu] = []
+    monkeypatch.setattr(HectorMapper, "update", lambda self, scan, odometry, imu: seen.append(imu))
+    WrongRoll().update(None, None, Imu(roll=0.1, pitch=0.2))
+    assert (seen[0].roll, seen[0].pitch) == (-0.1, 0.2)
+
+
+def test_only_ground_varies_hills_and_slope() -> None:
+    from lirs_extensions.search.falsify.search import read_search_limits
+
+    limits = read_search_limits(EXAMPLES / "only_ground.yaml")
+    varied = {p.name for p in limits.parameters if p.low < p.high}
+    assert varied == {"relief", "slope", "slope_direction"}
 
 
 @pytest.mark.slow
