@@ -1,6 +1,7 @@
 """The site: `make docs` builds it, and a test does with every warning as an error."""
 
 import sys
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -15,6 +16,7 @@ ALIASES = (
 """Types that signatures show by their name."""
 
 project = "LIRS-WCT"
+release = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 copyright = "the LIRS-WCT developers"
 extensions = [
     *("myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"),
@@ -48,7 +50,7 @@ maximum_signature_line_length = 90
 html_theme = "furo"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_title = "LIRS-WCT"
+html_title = f"LIRS-WCT {release}"
 html_copy_source = False
 html_show_sourcelink = False
 pygments_style = "friendly"
