@@ -212,7 +212,7 @@ def paired_test(d: FloatArray) -> tuple[Test, float | None, float | None, float 
 
 
 def least_effect(pairs: int, tests: int) -> float:
-    """Return the smallest mean difference, in deviations, that one of several t tests finds (Holm)."""
+    """Return the smallest mean difference, in deviations, that one of several tests finds."""
     critical = scipy.stats.t.isf(LEVEL / (2 * tests), pairs - 1) if pairs > 1 else math.inf
     return float(critical) / math.sqrt(pairs)
 

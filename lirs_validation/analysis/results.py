@@ -111,7 +111,7 @@ def read_results(root: Path) -> ResultFolder:
 
 
 def read_baseline(folder: Path, cells: Sequence[Entry]) -> list[Entry]:
-    """Return the stored runs that others, described as in `sweep.json`, repeat by group and seed."""
+    """Return the stored runs that runs of a sweep repeat, by group and seed."""
     results = read_results(folder)
     for name, reason in results.skipped:
         raise SourceError(f"{folder / name}: {reason}")

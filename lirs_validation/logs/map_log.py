@@ -37,6 +37,7 @@ from lirs_validation.logs.read_log import (
 )
 from lirs_validation.metrics.mapped_log import (
     Accuracy,
+    odometry_scale,
     reference_errors,
     scan_consistency,
     trajectory_accuracy,
@@ -223,6 +224,8 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
     alone = trajectory_accuracy(log.track, log.track, *truth).metrics() if len(log.track) else {}
     path = _describe_path(log, trajectory)
     quality = asdict(found) if (found := scan_consistency(log.scans, readings, trajectory)) else {}
+    if quality and alone and config.mapper in MAPPERS:
+        alone["scale"] = odometry_scale(log.track, trajectory)
     judged = relations is not None or reference is not None or mapper.reads_clouds
     second = None if judged else _compare(config, log, readings, trajectory, progress)
     lost = tracking.reason() or disagreement(quality.get("revisit_residual"))

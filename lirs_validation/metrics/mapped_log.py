@@ -43,6 +43,8 @@ PASS_LENGTH = 10.0
 """Distance driven between two scans from which on they belong to different passes, meters."""
 STEP, TURN = 0.5, 0.5
 """Meters and radians after which the next scan is tested: those between see the same."""
+BLOCK, LEAST_BLOCKS = 10, 5
+"""Number of such steps whose odometry errors depend on each other, and fewest such blocks of a fit."""
 HITS = 90
 """Number of beams of a scan that are tested, about; the other scan counts with all of its beams."""
 MIN_HITS = 30
@@ -202,6 +204,34 @@ def reference_errors(estimate: Trajectory, reference: Trajectory) -> ReferenceEr
         outside,
         T_reference_map.inverse(),
     )
+
+
+def odometry_scale(odometry: Trajectory, path: Trajectory) -> dict[str, tuple[float, float] | None]:
+    """Return relative errors of odometry's distance and turn, with 95 % margins, by a path.
+
+    None where the path is too short. Shifts per radian and turns per meter are no errors of scale.
+    """
+    i, j = associated(odometry.stamps, path.stamps)
+    true, measured = planar(path)[j], planar(odometry)[i]
+    steps, _ = _select_spaced(true)
+    true, measured = (motion(poses[steps[:-1]], poses[steps[1:]]) for poses in (true, measured))
+    ahead, turn = true[:, 0], wrap_angles(true[:, 2])
+    return {
+        "distance": _excess(np.column_stack((ahead, np.abs(turn))), measured[:, 0]),
+        "turn": _excess(np.column_stack((turn, ahead)), wrap_angles(measured[:, 2])),
+    }
+
+
+def _excess(true: FloatArray, measured: FloatArray) -> tuple[float, float] | None:
+    """Return the slope over the first of columns (n, 2), less one, and its margin."""
+    blocks = len(true) // BLOCK
+    if blocks < LEAST_BLOCKS or np.linalg.matrix_rank(true) < 2:
+        return None
+    inverse = np.linalg.inv(true.T @ true)
+    slopes = inverse @ true.T @ measured
+    influence = true @ inverse[0] * (measured - true @ slopes)
+    sums = np.add.reduceat(influence, BLOCK * np.arange(blocks))
+    return float(slopes[0]) - 1, 2 * math.sqrt(float(sums @ sums) * blocks / (blocks - 2))
 
 
 @dataclass(frozen=True, kw_only=True)

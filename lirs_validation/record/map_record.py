@@ -23,6 +23,10 @@ KIND = "map of a log"
 """Distinguishes these records from those of runs."""
 MAX_REASONS = 8
 """Reasons for skipping that are listed one by one."""
+WHEELS = (("distance", "wheels:", "too long", "too short"), ("turn", "turns", "too far", "not far enough"))
+"""Scale errors in the record, and their words."""
+KNOWN = 0.025
+"""Margin from which on a scale error is not known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +48,8 @@ class MapRecord:
         quality: figures without truth: revisit_residual, pass_residual, longest_gap (meters)
             and revisited (share); absent of scans that are not level. `second`: another mapper, its command,
             the difference to its path and its revisit_residual (meters); null where not compared.
-        odometry: accuracy of the raw odometry alone; empty where the log has none.
+        odometry: accuracy of the raw odometry alone, and `scale`, relative errors of its distance and turn
+            against the path of a planar method, with 95 % margins; empty where the log has none.
         cost: seconds for reading, compiling and mapping; processor time; peak memory in bytes.
     """
 
@@ -67,6 +72,16 @@ class MapRecord:
     def verdict(self) -> Verdict:
         """Class, sentence and reasons of the result."""
         return judge_log(asdict(self))
+
+    @property
+    def wheels(self) -> str:
+        """Scale errors of the odometry in words; empty where the path does not tell them."""
+        scale, texts = self.odometry.get("scale", {}), list[str]()
+        for key, lead, more, less in WHEELS if scale and self.status == "ok" else ():
+            error, margin = scale[key] or (0.0, math.inf)
+            text = f"{100 * abs(error):.1f} ± {100 * margin:.1f} % {more if error > 0 else less}"
+            texts.append(f"{lead} {text if margin < KNOWN else 'not known, the drive is too short'}")
+        return "; ".join(texts)
 
     def save(self, folder: Path) -> None:
         """Write `record.json`."""

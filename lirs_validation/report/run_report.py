@@ -71,8 +71,8 @@ PICTURES = (
     "true poses give. Right: the built map; vermillion cells are farther than 0.10 m from any occupied cell "
     "of the true-pose map."
 )
-BRIEF = ("paper", "verdicts", "failures", "summary")
-"""Sections in Markdown."""
+MARKDOWN_SECTIONS = ("paper", "verdicts", "failures", "summary")
+"""Keys of the sections in Markdown."""
 SKIPPED = "Folders that are damaged or of another version: in no other table."
 
 
@@ -106,7 +106,7 @@ class Report:
 
 
 def report_of(results: ResultFolder, limits: VerdictLimits = LIMITS) -> Report:
-    """Return the contents of a report on a folder of results, with verdicts by these limits."""
+    """Return the contents of a report on results, with verdicts by limits."""
     manifest = results.manifest or {}
     place = {cell.get("name"): k for k, cell in enumerate(manifest.get("cells", ()))}
     ordered = sorted(results.runs, key=lambda run: place.get(run.entry["name"], len(place)))
@@ -156,8 +156,8 @@ def report_of(results: ResultFolder, limits: VerdictLimits = LIMITS) -> Report:
 
 
 def report_markdown(report: Report) -> str:
-    """Return title, verdicts, failures and summary of a report as Markdown, without links to files."""
-    sections = (section for section in report.sections if section.key in BRIEF)
+    """Return verdicts, failures and summary as Markdown, without links to files."""
+    sections = (section for section in report.sections if section.key in MARKDOWN_SECTIONS)
     tables = (table.as_markdown() for section in sections for table in section.tables if table.rows)
     return "\n".join((f"# {report.title}\n\n{report.subtitle}\n", *tables))
 

@@ -320,7 +320,7 @@ def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> l
 def baseline_lines(
     stored: Sequence[Entry], entries: Sequence[Entry], limits: VerdictLimits, accepted: Collection[str]
 ) -> tuple[list[str], list[str]]:
-    """Return lines on what is significantly worse than stored runs, and on how well this is known.
+    """Return lines on what is significantly worse, and on how well this is known.
 
     Changes that the figures' digits do not show are left out.
     """

@@ -132,7 +132,8 @@ def _compare_and_fit(
     wheels = _fit_wheels(scans, odometry, real, fitted, seed)
     result = TwinResult(mapped.record.name, lidar, real, fitted, 1.0, wheels, len(mapped.log.scans))
     before = Sample.of(compare(simulate_scans(real, log.poses, result.sheet, seed)))
-    return replace(result, distance_before=residual_distance(fitted.real, before))
+    distance = residual_distance(fitted.real, before)
+    return replace(result, distance_before=distance, wheels=mapped.record.wheels)
 
 
 def _fit_wheels(
@@ -162,6 +163,7 @@ class TwinResult:
         odometry: Errors of the odometry; None where the log has none, or is too short.
         total: Number of scans of the log.
         replay: Errors of mappers on the log and on its simulation; None = not requested.
+        wheels: Scale errors of the odometry in words; empty where they are not known.
     """
 
     name: str
@@ -172,6 +174,7 @@ class TwinResult:
     odometry: FittedOdometry | None
     total: int
     replay: Replay | None = None
+    wheels: str = ""
 
     @property
     def sheet(self) -> LidarNoise:
@@ -209,6 +212,7 @@ class TwinResult:
             f"At {at:.1f} m this lidar's noise is {ours:.1f} mm, that of {self.lidar} {theirs:.1f} mm.",
             "The Kolmogorov distance between real and simulated residuals is "
             f"{self.fitted.distance:.2f} with noise.yaml and {self.distance_before:.2f} with {self.lidar}.",
+            *filter(None, (self.wheels,)),
             *(self.replay.sentences if self.replay else ()),
             f"What differs most: {self._largest_difference()}.",
             f"Not covered: {CAUSES}, scans that do not match the map ({100 * unmatched:.0f} %), "

@@ -175,6 +175,8 @@ def map_log(options: LogInOut, given: Annotated[dict[str, Any], MapConfig]) -> N
         mapped = run_mapping(config, out=options.output, progress=progress)
     out.print(_figures_table(mapped.record))
     say(mapped.folder)
+    if mapped.record.wheels:
+        say(mapped.record.wheels)
     say(f"verdict: {mapped.record.verdict}")
     if mapped.record.status != "ok":
         raise Exit(ExitCode.RUN_FAILED)

@@ -222,11 +222,12 @@ def test_the_command_writes_page_figures_and_preset(tmp_path: Path, monkeypatch:
     for sentence in figures["sentences"]:
         assert sentence in result.output
         assert sentence in unescape(page)
+    assert re.match(r"wheels: not known, the drive is too short; turns 0\.\d ± ", figures["sentences"][2])
     assert re.match(
-        "On this log's noise, cartographer's ATE is .* m in all 3 draws.$", figures["sentences"][2]
+        "On this log's noise, cartographer's ATE is .* m in all 3 draws.$", figures["sentences"][3]
     )
-    assert "What differs most: " in figures["sentences"][3]
-    assert "Not covered: loop closures that fail" in figures["sentences"][4]
+    assert "What differs most: " in figures["sentences"][4]
+    assert "Not covered: loop closures that fail" in figures["sentences"][5]
     assert f"next: lirs-wct validate medium --noise {folder / 'noise.yaml'}" in result.output.replace(
         "\n", ""
     )
