@@ -11,6 +11,7 @@ import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
+from lirs_validation.analysis.compare import by_shared
 from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.config import RunConfig
 from lirs_validation.record.map_record import is_mapped_log
@@ -115,7 +116,8 @@ def read_baseline(folder: Path, cells: Sequence[Entry]) -> list[Entry]:
     results = read_results(folder)
     for name, reason in results.skipped:
         raise SourceError(f"{folder / name}: {reason}")
-    stored = {(RunGroup.of(run.entry), run.entry["seed"]): run.entry for run in results.runs}
+    groups = by_shared([run.entry for run in results.runs], ())
+    stored = {(group, seed): run for group, runs in groups.items() for seed, run in runs.items()}
     planned = [(RunGroup.of({"world": {"name": c["world"]}, "config": c}), c["seed"]) for c in cells]
     if found := [stored[run] for run in planned if run in stored]:
         return found

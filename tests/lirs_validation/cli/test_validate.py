@@ -212,6 +212,7 @@ def test_a_gate_with_few_seeds_says_what_they_can_show(wct: Any, tmp_path: Path)
             "such as gmapping, seed 1; got hector, seed 1",
         ),
         (("--gate", "--baseline", "base", "--seed", "9"), "such as simple, seed 9; got simple, seed "),
+        (("--gate", "--baseline", "twice"), "move one of them to another folder"),
         (("--gate", "--baseline", "damaged"), ": record.json: not a run's record, or damaged"),
     ],
 )
@@ -221,6 +222,7 @@ def test_a_wrong_baseline_is_one_line_before_anything_runs(
     store(tmp_path / "base", range(1, 3))
     (tmp_path / "empty").mkdir()
     shutil.copytree(tmp_path / "base", tmp_path / "damaged")
+    shutil.copytree(saved(tmp_path / "twice"), tmp_path / "twice" / "copy")
     (next((tmp_path / "damaged").glob("*-s2-*")) / "record.json").write_text("{")
     before = sorted(tmp_path.rglob("*"))
     code, _, complaint = wct("validate", "simple", "--seconds", "30", *options)
