@@ -192,5 +192,5 @@ def test_own_body_is_not_seen_among_the_mesh(name: str, gate: World) -> None:
 
 def test_without_embree_one_clear_error(gate: World, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
-    with pytest.raises(ConfigError, match=r"pip install '.\[mesh\]', or take rays 'mujoco'"):
+    with pytest.raises(ConfigError, match=r"pip install 'lirs-wct\[mesh\]', or take rays 'mujoco'"):
         MeshCaster(gate.mesh)

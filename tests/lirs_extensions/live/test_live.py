@@ -224,7 +224,7 @@ def test_illegal_options_are_refused(options, message):
 
 def test_a_missing_package_is_one_line(monkeypatch):
     monkeypatch.setattr(live_run, "find_spec", lambda _: None)
-    with pytest.raises(ConfigError, match=r"needs the package cyclonedds: pip install '.\[live\]'"):
+    with pytest.raises(ConfigError, match=r"needs the package cyclonedds: pip install 'lirs-wct\[live\]'"):
         drive(net.FakeNetwork(), monkeypatch)
 
 

@@ -43,5 +43,5 @@ def test_what_is_no_source(tmp_path: Path) -> None:
 def test_without_viser(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     monkeypatch.setattr("lirs_validation.gui.find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"pip install '.\[gui\]'"):
+    with pytest.raises(ConfigError, match=r"pip install 'lirs-wct\[gui\]'"):
         show("simple")

@@ -232,7 +232,7 @@ def test_a_terrain_that_does_not_fit_is_refused(
         with pytest.raises(ConfigError, match=says):
             world_spec(world, contact_geometry=terrain)  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "coacd", None)
-    with pytest.raises(ConfigError, match=r"pip install '.\[mesh\]'"):
+    with pytest.raises(ConfigError, match=r"pip install 'lirs-wct\[mesh\]'"):
         list(convex_parts(arch.mesh))
     assert get_args(ContactGeometry) == CONTACT_GEOMETRIES
 

@@ -157,7 +157,7 @@ def test_cma_gets_closer_than_random_search_with_the_same_drives() -> None:
 
 def test_a_missing_package_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(ConfigError, match=r"pip install '.\[search\]'"):
+    with pytest.raises(ConfigError, match=r"pip install 'lirs-wct\[search\]'"):
         require_cma()
     with pytest.raises(ConfigError, match="cma"):
         CmaProposer(LIMITS, np.random.default_rng(0))
