@@ -48,7 +48,7 @@ class Method(NamedTuple):
     def install(self) -> str:
         """Command that installs the needed package."""
         if not self.extra:
-            return f"pip install . {self.distribution} into an environment, --mapper-python ITS/bin/python"
+            return f"pip install --no-deps {self.distribution}"
         return f"pip install 'lirs-wct[{self.extra}]'"
 
     @property

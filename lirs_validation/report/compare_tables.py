@@ -71,19 +71,20 @@ def reading(comparison: Comparison) -> str:
     used = sorted({d.test for d in comparison.differences if d.test in ("Wilcoxon", "sign")})
     if used:
         lines.append(f"Tests beside the paired t: {', '.join(used)}.")
+    shown = distinguishing_fields((*comparison.common, *comparison.only_a, *comparison.only_b))
     for name, groups in (("a", comparison.only_a), ("b", comparison.only_b)):
         if groups:
-            lines.append(f"Only in {name}: {'; '.join(group.label() for group in groups)}.")
+            lines.append(f"Only in {name}: {'; '.join(group.label(shown) for group in groups)}.")
     failed, worse = [], []
     for group, (a, b) in comparison.common.items():
         good = [sum(map(succeeded, runs)) for runs in (a, b)]
         if good != [len(a), len(b)]:
             counts = f"{len(a) - good[0]} of {len(a)} runs failed in a, {len(b) - good[1]} of {len(b)} in b"
-            failed.append(f"{group.label()}: {counts}; their seeds are left out.")
+            failed.append(f"{group.label(shown)}: {counts}; their seeds are left out.")
         bad = [sum(map(worse_than_odometry, runs)) for runs in (a, b)]
         if any(bad):
             counts = f"{bad[0]} of {len(a)} runs of a, {bad[1]} of {len(b)} of b"
-            worse.append(f"{group.label()}: {WORSE} in {counts}.")
+            worse.append(f"{group.label(shown)}: {WORSE} in {counts}.")
     return "\n".join((*lines, *failed, *worse))
 
 

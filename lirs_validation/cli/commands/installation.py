@@ -86,7 +86,7 @@ def list_names(options: ListOptions) -> None:
             table.add_row(name, *(escape(value) for value in data.values()))
     out.print(table)
     if options.kind == "mappers":
-        say("Your own: --mapper MODULE:CLASS (docs/bring_your_own_mapper.md).")
+        say("Your own: --mapper MODULE:CLASS or FILE.py:CLASS; examples/your_own_mapper.py is one.")
 
 
 def _mappers() -> dict[str, Data]:
@@ -156,6 +156,8 @@ def _lidars() -> dict[str, Data]:
             "field of view": f"{math.degrees(lidar.fov):g} deg",
             "rate": f"{lidar.rate:g} Hz",
             "range": f"{lidar.range_min:g} to {lidar.range_max:g} m",
+            "noise": f"{1e3 * lidar.sigma:g} mm + {1e3 * lidar.sigma_relative:g} mm/m",
+            "rings": f"{lidar.rings}" if lidar.rings > 1 else "-",
         }
         for name, lidar in lidars.items()
     }
