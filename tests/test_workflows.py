@@ -252,19 +252,40 @@ def test_the_first_step_installs_the_checkout_of_the_action(tmp_path: Path) -> N
     assert installed["download_info"]["url"] == ROOT.as_uri()
 
 
+def run_release_step(home: Path, file: str, tag: str) -> subprocess.CompletedProcess[str]:
+    """Run the step of a release that names a file."""
+    steps = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text())["jobs"]["build"]["steps"]
+    (script,) = (step["run"] for step in steps if file in step.get("run", ""))
+    given = {"GITHUB_REF_NAME": tag, "GITHUB_REPOSITORY": "owner/lirs-wct"}
+    return subprocess.run(
+        ["bash", "-e", "-c", script],
+        cwd=home,
+        env=os.environ | given,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
 def release_step(home: Path, tag: str, version: str) -> subprocess.CompletedProcess[str]:
     """Run the step that checks a release, on a copy of the files that it reads."""
-    steps = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text())["jobs"]["build"]["steps"]
-    (script,) = (step["run"] for step in steps if "notes.md" in step.get("run", ""))
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     mine = tomllib.loads(project)["project"]["version"]
     (home / "pyproject.toml").write_text(project.replace(f'version = "{mine}"', f'version = "{version}"'))
     changes = "# Changelog\n\n## 9.1.0 (2030-01-02)\n\n- New.\n\n## 9.0.0 (2029-01-02)\n\n- Old.\n"
     (home / "CHANGELOG.md").write_text(changes)
-    return subprocess.run(
-        ["bash", "-e", "-c", script],
-        cwd=home, env=os.environ | {"GITHUB_REF_NAME": tag}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    return run_release_step(home, "notes.md", tag)
+
+
+def test_pypi_shows_pictures_and_links_of_the_readme(tmp_path: Path) -> None:
+    source = "![A b](docs/a.gif) and [c](docs/c.md#d) · [e](https://e.org/f), [g](examples)\n"
+    (tmp_path / "README.md").write_text(source)
+    assert run_release_step(tmp_path, "README.md", "v1.1.0").returncode == 0
+    page = "https://github.com/owner/lirs-wct/blob/v1.1.0"
+    assert (tmp_path / "README.md").read_text() == (
+        "![A b](https://raw.githubusercontent.com/owner/lirs-wct/v1.1.0/docs/a.gif) and "
+        f"[c]({page}/docs/c.md#d) · [e](https://e.org/f), [g]({page}/examples)\n"
+    )
 
 
 def test_a_release_needs_the_tag_of_its_version_and_a_part_of_the_changelog(tmp_path: Path) -> None:
