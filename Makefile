@@ -1,6 +1,6 @@
 # make demo   sets up .venv, drives a robot through the three bundled worlds, prints a table; pictures in out/demo/
 # make test   sets up .venv, runs linters, type checks and the fast tests
-# make check  sets up .venv, runs the slow tests: browser, notebooks, README's programs, documentation
+# make check  sets up .venv, runs the slow tests: browser, notebooks, the wheel with all commands of the pages
 # make docs   sets up .venv, builds the site into out/docs/; opens with out/docs/index.html
 PYTHON ?= python3
 BIN := .venv/bin

@@ -19,9 +19,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, IntArray, njit
 from lirs_wct.errors import limited, require_within
-from lirs_wct.geometry import Pose2
+from lirs_wct.geometry import FloatArray, IntArray, Pose2, njit
 from slam_baselines.correlative_search import correlative_search
 from slam_baselines.dead_reckoning import PoseEstimate, moved_covariance
 from slam_baselines.monitors import MonitorConfig

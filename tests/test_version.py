@@ -21,7 +21,7 @@ def test_the_changelog_begins_with_the_version_and_its_date() -> None:
     assert re.fullmatch(rf"{re.escape(VERSION)} \(\d{{4}}-\d\d-\d\d\)", released[0])
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/tutorial/first_verdict.md"])
 def test_a_page_installs_the_wheel_of_the_version(page: str) -> None:
     wheels = re.findall(r"lirs_wct-(\S+)-py3", (ROOT / page).read_text(encoding="utf-8"))
     assert wheels == [VERSION]

@@ -54,14 +54,13 @@ def falsify(folder: FalsifyFolder, options: FalsifyOptions) -> None:
     from lirs_extensions.search.case_search import process_pool, require_cma
     from lirs_extensions.search.falsify import search
     from lirs_extensions.search.falsify.results import conclusion, write_results
-    from lirs_extensions.search.falsify.search import CaseDrives, check_methods, search_limits
 
-    limits, output = search_limits(options), folder.output
-    check_methods(options)
+    limits, output = search.search_limits(options), folder.output
+    search.check_methods(options)
     if options.search == "cma":
         require_cma()
     with process_pool(options.jobs) as pool:
-        drives = CaseDrives(options, limits, output, pool)
+        drives = search.CaseDrives(options, limits, output, pool)
         found = search.falsify(drives, note)
     page = write_results(output, drives, found, command_line())
     _show(page, *(output / f"case-{k}" for k in range(1, len(found) + 1)), *conclusion(drives, found))

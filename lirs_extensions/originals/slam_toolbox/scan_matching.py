@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_extensions.originals.slam_toolbox.config import SlamToolboxOriginalConfig
-from lirs_wct.arrays import FloatArray, njit
-from lirs_wct.geometry import LaserScan, Pose2, wrap_angle
+from lirs_wct.geometry import FloatArray, LaserScan, Pose2, njit, wrap_angle
 
 OCCUPIED = 100
 """Value of a cell with a hit."""

@@ -304,10 +304,10 @@ def _draws(backend: str) -> bool:
 
 def _caches() -> Iterator[InstallationCheck]:
     """Check the caches of compiled kernels, without which each start compiles, and of worlds."""
-    import lirs_wct
     from lirs_envs.episodes.world_cache import cache_folder
 
-    set_by_user, package = os.environ.get("NUMBA_CACHE_DIR"), Path(lirs_wct.__file__).parent / "__pycache__"
+    set_by_user = os.environ.get("NUMBA_CACHE_DIR")
+    package = Path(__file__).parents[3] / "lirs_wct" / "__pycache__"
     kernels = [Path(set_by_user)] if set_by_user else [package, Path.home() / ".cache" / "numba"]
     worlds = cache_folder()
     if worlds is None:
