@@ -85,7 +85,7 @@ def tune(
 
     Examples:
     lirs-wct tune medium --robot husky --mapper slam_toolbox_original --seconds 40 -o tune/
-    lirs-wct tune examples/data/office.clf.gz --mapper hector_original --unseen 4 -o tune/
+    lirs-wct tune robot.clf.gz --mapper hector_original --reference truth.tum --unseen 4 -o tune/
     """
     from lirs_extensions.search import case_search, tuning as search
 

@@ -143,7 +143,8 @@ def tune(drives: TuneDrives, report: Report = lambda line: None) -> Case:
     (scores,) = drives.run([space.easiest], seeds)
     usual = best_loss = mean_loss(scores)
     if math.isinf(usual):
-        raise ConfigError(f"no drive can be evaluated: {scores[0].reason}")
+        source = drives.target.log if isinstance(drives.target, MapConfig) else drives.target.source
+        raise ConfigError(f"{source}: no drive can be evaluated: {scores[0].reason}")
     best = space.easiest
     proposer = make_proposer(options.search, space, np.random.default_rng((drives.target.seed, STREAM)))
     while options.drives - drives.archive.count >= len(seeds):
@@ -362,7 +363,7 @@ def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:
         quality = scan_consistency(log.scans, readings, path)
         residual = None if quality is None else quality.revisit_residual
         if residual is None:
-            return TuneScore(None, reason="no place was seen twice")
+            return TuneScore(None, reason="a part sees no place twice, so give --relations or --reference")
         loss = math.log(MAX_RATIO if status == "lost" else max(residual / AGREEING, MIN_RATIO))
         return TuneScore(loss, residual, status == "ok" and residual <= AGREEING)
     pairs = zip(log.scans, log.odometry, strict=True)

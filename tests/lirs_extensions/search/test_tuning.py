@@ -162,3 +162,14 @@ def test_the_printed_command_of_a_log_names_its_truth_and_seed(tmp_path: Path) -
         "--parameters linearUpdate=0.3",
     ):
         assert words in command
+
+
+def test_a_log_whose_parts_see_no_place_twice_needs_a_reference(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = Path(__file__).parents[3] / "examples" / "data" / "office.clf.gz"
+    assert run_command("tune", str(log), "--mapper", "hector_original", "-o", str(tmp_path)) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f"lirs-wct: {log}: no drive can be evaluated: a part sees no place twice, "
+        "so give --relations or --reference"
+    )
