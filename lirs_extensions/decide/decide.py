@@ -420,6 +420,8 @@ class Question:
             known = key_of(left[0].config) in drives.costs
             command = f"`{again(drives.budget_text(left[0]))}`"
             continuation = f"{drives.need_text(left[0])}: {command}" if known else f"{command} continues"
+            if isinstance(left[0], Change):
+                continuation = f"{left[0].label} was not decided: {continuation}"
         return Answer(self.site.world.name, self.trial, tried, continuation)
 
 

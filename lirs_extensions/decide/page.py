@@ -122,7 +122,8 @@ def _failures_text(trial: Trial) -> str:
     if not failed:
         return ""
     kind, count = Counter(drive.kind for drive in failed).most_common(1)[0]
-    example = next(drive for drive in failed if drive.kind == kind)
+    same = [drive for drive in failed if drive.kind == kind]
+    example = next((drive for drive in same if drive.reason), same[0])
     cause = f": {example.reason.rstrip('.')}" if example.reason else ""
     return f"Most frequent failure: {kind} ({count} of {len(failed)}), as with seed {example.seed}{cause}."
 

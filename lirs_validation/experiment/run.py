@@ -41,7 +41,7 @@ from lirs_wct import (
 from lirs_wct.files import atomic_folder, check_writable, scratch_folder
 from lirs_wct.formats import drive_files, map_server
 from lirs_wct.option import check_names
-from slam_baselines.mapper import MAPPERS, warm_up as warm_up_mapper
+from slam_baselines.mapper import MAPPERS, OWN_CLOUD_MAPPERS, warm_up as warm_up_mapper
 from slam_baselines.watch import STEPS, Watch
 
 if TYPE_CHECKING:
@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors
     from lirs_wct.formats.rosbag.writer import BagWriter
 
+WARM_UP_SCANS = 12
+"""Scans in which a mapper of point clouds meets all of its kernels."""
 _WARM: set[str] = set()
 """Mappers whose kernels this process has compiled."""
 
@@ -262,9 +264,20 @@ def warm_up(config: RunConfig, simulation: Simulation, start: Pose2) -> None:
         watch.update(Pose2(), 0.1 * k)
     if config.driver == FRONTIER:
         warm_up_explorer()
-    if config.mapper in MAPPERS and config.mapper not in _WARM:
+    if config.mapper not in _WARM and config.mapper in MAPPERS:
         warm_up_mapper(config.mapper)
-        _WARM.add(config.mapper)
+    elif config.mapper not in _WARM and config.mapper in OWN_CLOUD_MAPPERS:
+        _warm_up_cloud_mapper(config, simulation, start)
+    _WARM.add(config.mapper)
+
+
+def _warm_up_cloud_mapper(config: RunConfig, simulation: Simulation, start: Pose2) -> None:
+    """Run a new mapper through the first scans of a simulation that drives straight on."""
+    mapper, observation = start_mapper(config), simulation.reset(start)
+    with suppress(SimulationError):
+        for _ in range(WARM_UP_SCANS):
+            mapper.observe(observation)
+            observation = simulation.advance(Twist(0.5))
 
 
 def drive_and_conclude(

@@ -50,7 +50,8 @@ DRIVE = """
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import prepare
 
-ready = prepare(RunConfig(source="medium", mapper=sys.argv[1], seconds=4))
+lidar = {"lidar": "vlp16"} if sys.argv[1] == "wheel_lio" else {}
+ready = prepare(RunConfig(source="medium", mapper=sys.argv[1], seconds=4, **lidar))
 before, log = kernels(), ready.log()
 for _ in ready.drive(log):
     pass
@@ -79,9 +80,10 @@ def test_no_update_compiles_after_the_warm_up(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_no_drive_compiles_after_its_warm_up() -> None:
+@pytest.mark.parametrize("name", ["hector", "wheel_lio"])
+def test_no_drive_compiles_after_its_warm_up(name: str) -> None:
     """The time of its first seconds predicts when a drive ends."""
-    assert compiled(DRIVE, "hector") == ""
+    assert compiled(DRIVE, name) == ""
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lirs_extensions.decide.decide import Answer, Budget, Change, Trial, TrialDrive, decide
+from lirs_extensions.decide.decide import (
+    Answer,
+    Budget,
+    Change,
+    Question,
+    TimedDrives,
+    Trial,
+    TrialDrive,
+    decide,
+)
 from lirs_extensions.decide.forecast import NO_INFORMATION, DriveSite, SiteFeatures, changes
 from lirs_extensions.decide.page import conclusion, drives_table, failure_place, write_decision
 from lirs_validation.config import EngineOptions, RunConfig
@@ -157,6 +166,16 @@ def test_a_drive_that_would_end_too_late_is_stopped_and_leaves_nothing(
     assert text.endswith("10 drives need 20 min: `lirs-wct verdict simple --budget 21min`.")
 
 
+def test_the_command_that_continues_names_the_change_that_it_drives(slow: Slow, tmp_path: Path) -> None:
+    site = DriveSite(ScenarioCache().scenario(CONFIG).world, replace(CONFIG, mapper="hector_original"))
+    lost = Trial(replace(CONFIG, mapper="hector_original"), drives("lll"))
+    question = Question(site, lost, [Change(CONFIG, label="hector", least=lost.rank)])
+    timed = TimedDrives(tmp_path, EngineOptions(), ScenarioCache(), Budget(60.0, 0.0))
+    assert question.answer(timed, AGAIN).continuation == (
+        "hector was not decided: `lirs-wct verdict simple --budget 2min` continues"
+    )
+
+
 def test_the_cost_of_earlier_drives_is_known(slow: Slow, tmp_path: Path) -> None:
     slow.costs = {"hector": 20.0}
     ask_all([CONFIG], tmp_path, budget=30.0)
@@ -272,8 +291,9 @@ def test_a_change_that_was_not_evaluated_is_not_called_worse() -> None:
 
 
 def test_the_most_frequent_failure_is_named_with_its_cause() -> None:
-    made = tuple(replace(drive, reason="no walls within 20 m") for drive in drives("nll"))
-    text = "Most frequent failure: loses its way (2 of 2), as with seed 2: no walls within 20 m."
+    _, second, third = drives("nll")
+    made = (*drives("n"), second, replace(third, reason="no walls within 20 m"))
+    text = "Most frequent failure: loses its way (2 of 2), as with seed 3: no walls within 20 m."
     assert text in conclusion(Answer("quarry", Trial(CONFIG, made)))
 
 
