@@ -24,7 +24,7 @@ SHORT = {
     "verdict": "--seconds 15 --budget 1s",
     "record": "--seconds 4",
     "collide": "--seconds 1",
-    "falsify": "--drives 10 --seconds 2 -o search",
+    "falsify": "--drives 4 --seconds 2 -o search",
     "tune": "--drives 3",
     "twin": "--draws 4",
     "live": "--seconds 5",
