@@ -193,7 +193,9 @@ def run_command(installed: Installation, command: str, folder: Path) -> None:
     if command.startswith("lirs-wct record"):
         shutil.rmtree(folder / "run", ignore_errors=True)  # it holds another drive
     driver = installed.start("python examples/live_driver.py", folder) if "--lockstep" in command else None
-    installed.run(shortened(command), folder)
-    if driver is not None:
-        driver.kill()
-        driver.wait()
+    try:
+        installed.run(shortened(command), folder)
+    finally:
+        if driver is not None:
+            driver.kill()
+            driver.wait()

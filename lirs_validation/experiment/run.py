@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 WARM_UP_SCANS = 12
 """Scans in which a mapper of point clouds meets all of its kernels."""
 _WARM: set[str] = set()
-"""Mappers whose kernels this process has compiled."""
+"""Mappers whose kernels, if they are ours, this process has compiled."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,9 @@
 
 import csv
 import gzip
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -30,8 +33,8 @@ from tests.lirs_extensions.originals.recorded import unpacked
 
 RUNS = ("simple-2", "medium-1", "medium-2", "advanced-1", "advanced-2", "willow-1")
 MATCHED = CorrelativeMatcher.match
-EQUAL_SHARE = {"intel": 0.75}
-"""Share of a log's matches that equal the program's; the processor's rounding moves its loop closures."""
+KERNELS = {"OPENBLAS_CORETYPE": "Haswell"}
+"""Kernels of OpenBLAS by whose rounding the optimizer stops where that of the program does."""
 
 
 class Traced:
@@ -48,30 +51,22 @@ class Traced:
 
         monkeypatch.setattr(CorrelativeMatcher, "match", match)
 
-    def compare(self, mapper: SlamToolboxOriginalMapper, trace: Path, share: float = 1.0) -> None:
+    def compare(self, mapper: SlamToolboxOriginalMapper, trace: Path) -> None:
         number = {id(node): k for k, node in enumerate(mapper._graph.nodes)}
         rows = list(csv.DictReader(gzip.decompress(trace.read_bytes()).decode().splitlines()))
         assert len(rows) == len(self.calls) > 20
-        equal = []
         for row, (kind, node, base, found) in zip(rows, self.calls, strict=True):
             k, chain = number[id(node)], [number[id(each)] for each in base]
             first, last = int(row["base_first"]), int(row["base_last"])
             assert (kind, chain) == (row["kind"], [*range(first, last + 1)])
             assert int(row["scan"]) == (-1 if kind == "sequential" else k)
-            equal.append(equal_match(found, row))
-        assert np.mean(equal) >= share
-
-
-def equal_match(found: SensorMatch, row: dict[str, str]) -> bool:
-    """Whether a match has the pose, response and covariance of the program."""
-    response, x, y, heading = (float(row[key]) for key in ("response", "x", "y", "heading"))
-    differences = found.response - response, found.sensor.x - x, found.sensor.y - y
-    turn = wrap_angle(found.sensor.yaw - heading)
-    xx, xy, yy, hh = (float(row[f"cov_{key}"]) for key in ("xx", "xy", "yy", "hh"))
-    theirs = np.array(((xx, xy, 0), (xy, yy, 0), (0, 0, hh)))
-    deviations = np.sqrt(np.diag(theirs))
-    close = abs(found.covariance - theirs) < 1e-3 * np.outer(deviations, deviations)
-    return max(map(abs, (*differences, turn))) < 1e-6 and bool(close.all())
+            ours = found.response, found.sensor.x, found.sensor.y
+            assert ours == pytest.approx([float(row[key]) for key in ("response", "x", "y")], abs=1e-6)
+            assert abs(wrap_angle(found.sensor.yaw - float(row["heading"]))) < 1e-6
+            xx, xy, yy, hh = (float(row[f"cov_{key}"]) for key in ("xx", "xy", "yy", "hh"))
+            theirs = np.array(((xx, xy, 0), (xy, yy, 0), (0, 0, hh)))
+            deviations = np.sqrt(np.diag(theirs))
+            assert (abs(found.covariance - theirs) < 1e-3 * np.outer(deviations, deviations)).all()
 
 
 def replay(log: Any, scans: Any) -> tuple[SlamToolboxOriginalMapper, np.ndarray]:
@@ -101,6 +96,7 @@ def test_every_matcher_call_and_every_pose_is_the_original_s(
     ("name", "nodes", "loops", "edges"), [("intel", 736, 69, 860), ("mit-csail", 535, 11, 587)]
 )
 def test_loops_are_closed_as_by_the_original(
+    request: pytest.FixtureRequest,
     shared_data: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -109,13 +105,20 @@ def test_loops_are_closed_as_by_the_original(
     loops: int,
     edges: int,
 ) -> None:
-    """Where the optimizer stops is part of the result."""
+    """Where the optimizer stops is part of the result; kernels are chosen when a process starts."""
+    if not KERNELS.items() <= os.environ.items():
+        command = [sys.executable, "-m", "pytest", "-q", request.node.nodeid]
+        done = subprocess.run(
+            command, cwd=request.config.rootpath, env=os.environ | KERNELS, capture_output=True, text=True
+        )
+        assert "1 passed" in done.stdout, done.stdout
+        return
     folder, traced = shared_data / "logs" / name.removeprefix("mit-"), Traced(monkeypatch)
     log = read_carmen(folder / f"{name}.clf.gz")
     mapper, poses = replay(log, log.scans)
     counts = mapper.stats.counts
     assert (counts["nodes"], counts["loops"], counts["edges"]) == (nodes, loops, edges)
-    traced.compare(mapper, folder / "slam_toolbox_trace.csv.gz", EQUAL_SHARE.get(name, 1.0))
+    traced.compare(mapper, folder / "slam_toolbox_trace.csv.gz")
     original = unpacked(folder / "original_slam_toolbox_online.tum.gz", tmp_path)
     assert np.hypot(*(poses - original.positions)[:, :2].T).max() < (0.03 if name == "intel" else 1e-3)
 
