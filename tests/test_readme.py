@@ -7,11 +7,16 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import check_command
-from tests.pages import ROOT, steps
+from tests.pages import PAGES, ROOT, steps
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 LIMITS = tomllib.loads(Path(__file__).with_name("style_limits.toml").read_text(encoding="utf-8"))
 COMMANDS = [step.text for step in steps(ROOT / "README.md") if not step.program]
+
+
+def test_commands_and_programs_are_found() -> None:
+    """The test of the wheel runs what is found, and nothing else."""
+    assert sum(len(steps(page)) for page in PAGES) > 140
 
 
 def test_no_command_has_a_pattern_that_a_second_run_matches_too() -> None:
